@@ -1,0 +1,1 @@
+"""Smooth, georeferenced tracks from the video of one camera that nobody calibrated."""

@@ -1,0 +1,1 @@
+"""Stage 5: how far a track is from the log."""

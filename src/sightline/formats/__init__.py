@@ -1,0 +1,1 @@
+"""Files that hold fixes, boxes and tracks: one module a format."""

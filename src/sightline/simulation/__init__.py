@@ -1,0 +1,1 @@
+"""A synthetic harbour whose truth is known."""

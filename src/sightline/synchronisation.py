@@ -1,0 +1,109 @@
+"""Where a logged target was at any time: interpolation of a log, and how far to trust it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sightline.geodesy import LocalPlane
+from sightline.types import BoolArray, Fixes, FloatArray
+
+LARGEST_GAP_S = 8.0
+"""A time counts where the fixes on either side of it are at most this far apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Synchronised:
+    """The place of a logged target at given times.
+
+    Attributes:
+        east_m: (N,) float64, metres east of the plane's origin; NaN where not matched.
+        north_m: (N,) float64.
+        velocity_east_mps: (N,) float64, from the fixes on either side; NaN where not matched.
+        velocity_north_mps: (N,) float64.
+        gap_s: (N,) float64, seconds between the fixes on either side; infinite outside the log.
+    """
+
+    east_m: FloatArray
+    north_m: FloatArray
+    velocity_east_mps: FloatArray
+    velocity_north_mps: FloatArray
+    gap_s: FloatArray
+
+    @property
+    def matched(self) -> BoolArray:
+        """(N,) bool, True where there is a position."""
+        return np.isfinite(self.east_m)
+
+    @property
+    def share(self) -> float:
+        """The share of the times that are matched, 0 to 1; NaN for no times."""
+        return float(self.matched.mean()) if self.matched.size else float("nan")
+
+
+def distinct(fixes: Fixes) -> Fixes:
+    """One fix a time: the mean of those that share it.
+
+    Receivers that log whole seconds write several fixes under one second; between them their
+    order is known but not their distance in time, so they count as one.
+    """
+    times, group = np.unique(fixes.time_utc_s, return_inverse=True)
+    count = np.bincount(group)
+    return Fixes(
+        time_utc_s=times,
+        latitude_deg=np.bincount(group, fixes.latitude_deg) / count,
+        longitude_deg=np.bincount(group, fixes.longitude_deg) / count,
+        name=fixes.name,
+    )
+
+
+def synchronise(
+    fixes: Fixes,
+    time_utc_s: ArrayLike,
+    plane: LocalPlane,
+    *,
+    largest_gap_s: float = LARGEST_GAP_S,
+) -> Synchronised:
+    """Interpolate a log to given times, linearly in the plane.
+
+    Args:
+        fixes: The log.
+        time_utc_s: (N,) POSIX seconds; NaN is never matched.
+        plane: The plane of the result.
+        largest_gap_s: A time between fixes that are further apart is not matched. A time that
+            falls on a fix always is.
+    """
+    times = np.asarray(time_utc_s, dtype=float)
+    log = distinct(fixes)
+    n = times.size
+    nothing = np.full(n, np.nan)
+    if len(log) == 0:
+        return Synchronised(
+            nothing, nothing.copy(), nothing.copy(), nothing.copy(), np.full(n, np.inf)
+        )
+    east, north = plane.to_plane(log.latitude_deg, log.longitude_deg)
+    after = np.clip(np.searchsorted(log.time_utc_s, times, side="left"), 0, len(log) - 1)
+    on_fix = log.time_utc_s[after] == times
+    before = np.where(on_fix, after, np.maximum(after - 1, 0))
+    inside = (times >= log.time_utc_s[0]) & (times <= log.time_utc_s[-1])
+    span = log.time_utc_s[after] - log.time_utc_s[before]
+    gap = np.where(inside, span, np.inf)
+    matched = gap <= largest_gap_s
+    weight = np.where(span > 0.0, (times - log.time_utc_s[before]) / np.where(span > 0, span, 1), 0)
+
+    def between(values: FloatArray) -> FloatArray:
+        mixed = values[before] + weight * (values[after] - values[before])
+        return np.where(matched, mixed, np.nan)
+
+    # On a fix the neighbours on both sides tell the velocity.
+    left = np.where(on_fix, np.maximum(after - 1, 0), before)
+    right = np.where(on_fix, np.minimum(after + 1, len(log) - 1), after)
+    duration = log.time_utc_s[right] - log.time_utc_s[left]
+
+    def slope(values: FloatArray) -> FloatArray:
+        rate = (values[right] - values[left]) / np.where(duration > 0.0, duration, np.nan)
+        return np.where(matched, rate, np.nan)
+
+    return Synchronised(between(east), between(north), slope(east), slope(north), gap)

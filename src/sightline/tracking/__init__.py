@@ -1,0 +1,1 @@
+"""Stage 2: boxes in, boxes with a track id out."""

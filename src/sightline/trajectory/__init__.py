@@ -1,0 +1,1 @@
+"""Stage 4: positions at irregular times in, a smooth track out."""

@@ -1,0 +1,484 @@
+"""What travels between the stages: frozen tables of columns, checked where they are made.
+
+Conventions, said once:
+
+* **Boxes** are ``x1, y1, x2, y2`` in pixels of the full image, origin at the upper left corner,
+  x to the right and y down. The *foot* of a box is the middle of its lower edge.
+* **Times** are POSIX seconds, UTC, as float64 (``time_utc_s``): good to a quarter of a
+  microsecond. NaN is a time that is not known.
+* **Positions** are metres east and north of the origin of a `LocalPlane`. NaN is no position.
+* **Covariances** are 2 x 2, square metres, in the order east, north.
+* **Courses and bearings** are degrees clockwise from north, in [0, 360).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sightline.errors import InputError
+from sightline.geodesy import LocalPlane, check_geographic
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+StrArray = NDArray[np.str_]
+
+NO_TRACK = -1
+"""The track id of a box that belongs to no track."""
+
+NO_FRAME = -1
+"""The frame number of a box that came without one."""
+
+
+def to_datetime64(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:
+    """POSIX seconds as ``datetime64[ns]``; NaN becomes NaT."""
+    seconds = np.asarray(time_utc_s, dtype=float)
+    known = np.isfinite(seconds)
+    whole = np.floor(np.where(known, seconds, 0.0))
+    nanoseconds = np.round((np.where(known, seconds, 0.0) - whole) * 1e9)
+    out = (whole.astype(np.int64) * 1_000_000_000 + nanoseconds.astype(np.int64)).astype(
+        "datetime64[ns]"
+    )
+    return np.where(known, out, np.datetime64("NaT", "ns"))
+
+
+def from_datetime64(time_utc: ArrayLike) -> FloatArray:
+    """``datetime64`` of any unit, taken as UTC, as POSIX seconds; NaT becomes NaN."""
+    stamps = np.asarray(time_utc).astype("datetime64[ns]")
+    nanoseconds = stamps.astype(np.int64)
+    seconds = nanoseconds // 1_000_000_000 + (nanoseconds % 1_000_000_000) * 1e-9
+    return np.where(np.isnat(stamps), np.nan, seconds)
+
+
+def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> None:
+    array = np.array(values, dtype=dtype)
+    if array.shape != shape:
+        raise InputError(f"{type(table).__name__}.{name} has shape {array.shape}, expected {shape}")
+    array.flags.writeable = False
+    object.__setattr__(table, name, array)
+
+
+class _Columns:
+    """What the tables share: selection of rows."""
+
+    _row_fields: tuple[str, ...] = ()
+
+    def __getitem__(self, rows: Any) -> Self:
+        """The rows that an index array, a mask or a slice selects, as a new table."""
+        chosen = {name: getattr(self, name)[rows] for name in self._row_fields}
+        return replace(self, **chosen)  # type: ignore[type-var]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture of a video.
+
+    Attributes:
+        index: Number of the frame in its recording, from 0.
+        time_utc_s: POSIX seconds; NaN if the recording does not tell.
+        image_bgr: (H, W, 3) uint8, blue, green, red.
+    """
+
+    index: int
+    time_utc_s: float
+    image_bgr: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes(_Columns):
+    """Boxes in the image, one a row, in any order.
+
+    Attributes:
+        xyxy_px: (N, 4) float64, ``x1, y1, x2, y2``; finite, x1 < x2, y1 < y2.
+        frame: (N,) int64, `NO_FRAME` where there is none.
+        time_utc_s: (N,) float64, NaN where not known.
+        confidence: (N,) float64 in [0, 1].
+        source: (N,) str, who made the box: an annotator's or a detector's name, or ``""``. Every
+            source has its own habit at the lower edge, so models learn a bias for each.
+        track_id: (N,) int64, `NO_TRACK` where there is none.
+        label: (N,) str, the class, or ``""``.
+
+    Raises:
+        InputError: A column is of another length, or a value breaks the invariants.
+    """
+
+    xyxy_px: FloatArray
+    frame: IntArray
+    time_utc_s: FloatArray
+    confidence: FloatArray
+    source: StrArray
+    track_id: IntArray
+    label: StrArray
+
+    _row_fields = (
+        "xyxy_px",
+        "frame",
+        "time_utc_s",
+        "confidence",
+        "source",
+        "track_id",
+        "label",
+    )
+
+    def __post_init__(self) -> None:
+        n = np.shape(self.xyxy_px)[0] if np.ndim(self.xyxy_px) == 2 else -1
+        if n < 0 or np.shape(self.xyxy_px)[1] != 4:
+            raise InputError(
+                f"boxes must have the shape (N, 4), x1, y1, x2, y2; "
+                f"these have {np.shape(self.xyxy_px)}"
+            )
+        _freeze(self, "xyxy_px", self.xyxy_px, np.float64, (n, 4))
+        _freeze(self, "frame", self.frame, np.int64, (n,))
+        _freeze(self, "time_utc_s", self.time_utc_s, np.float64, (n,))
+        _freeze(self, "confidence", self.confidence, np.float64, (n,))
+        _freeze(self, "source", self.source, np.str_, (n,))
+        _freeze(self, "track_id", self.track_id, np.int64, (n,))
+        _freeze(self, "label", self.label, np.str_, (n,))
+        check_boxes(self.xyxy_px)
+        bad = ~((self.confidence >= 0.0) & (self.confidence <= 1.0))
+        if bad.any():
+            i = int(np.argmax(bad))
+            raise InputError(
+                f"box {i + 1}: confidence {self.confidence[i]:g} is not between 0 and 1"
+            )
+
+    @classmethod
+    def of(
+        cls,
+        xyxy_px: ArrayLike,
+        *,
+        frame: ArrayLike | None = None,
+        time_utc_s: ArrayLike | None = None,
+        confidence: ArrayLike | None = None,
+        source: ArrayLike | None = None,
+        track_id: ArrayLike | None = None,
+        label: ArrayLike | None = None,
+    ) -> Boxes:
+        """Boxes from what is known of them; a single value holds for all rows.
+
+        Args:
+            xyxy_px: (N, 4) pixels.
+            frame: Frame numbers; absent: `NO_FRAME`.
+            time_utc_s: POSIX seconds; absent: NaN.
+            confidence: Absent: 1.
+            source: Absent: ``""``.
+            track_id: Absent: `NO_TRACK`.
+            label: Absent: ``""``.
+        """
+        xyxy = np.asarray(xyxy_px, dtype=np.float64)
+        if xyxy.size == 0:
+            xyxy = xyxy.reshape(0, 4)
+        n = xyxy.shape[0] if xyxy.ndim else 0
+
+        def column(values: ArrayLike | None, default: Any) -> NDArray[Any]:
+            array = np.asarray(default if values is None else values)
+            return np.broadcast_to(array, (n,)) if array.ndim == 0 else array
+
+        return cls(
+            xyxy_px=xyxy,
+            frame=column(frame, NO_FRAME),
+            time_utc_s=column(time_utc_s, np.nan),
+            confidence=column(confidence, 1.0),
+            source=column(source, ""),
+            track_id=column(track_id, NO_TRACK),
+            label=column(label, ""),
+        )
+
+    @classmethod
+    def concatenate(cls, tables: list[Boxes]) -> Boxes:
+        """One table with the rows of all, in their order."""
+        if not tables:
+            return cls.of(np.empty((0, 4)))
+        return cls(
+            **{
+                name: np.concatenate([getattr(table, name) for table in tables])
+                for name in cls._row_fields
+            }
+        )
+
+    def with_columns(self, **columns: ArrayLike) -> Boxes:
+        """A copy with some columns replaced, each (N,) or (N, 4) for ``xyxy_px``."""
+        return replace(self, **columns)  # type: ignore[arg-type]
+
+    def __len__(self) -> int:
+        return int(self.xyxy_px.shape[0])
+
+
+def check_boxes(xyxy_px: FloatArray) -> None:
+    """Refuse boxes that are none.
+
+    Args:
+        xyxy_px: (N, 4) pixels.
+
+    Raises:
+        InputError: A coordinate is not finite, or a box has no width or height (its corners are
+            reversed). The message names the first.
+    """
+    finite = np.isfinite(xyxy_px).all(axis=1)
+    if not finite.all():
+        i = int(np.argmin(finite))
+        raise InputError(f"box {i + 1}: {_row(xyxy_px[i])} has a coordinate that is not a number")
+    ordered = (xyxy_px[:, 0] < xyxy_px[:, 2]) & (xyxy_px[:, 1] < xyxy_px[:, 3])
+    if not ordered.all():
+        i = int(np.argmin(ordered))
+        raise InputError(
+            f"box {i + 1}: {_row(xyxy_px[i])} is empty or reversed; "
+            "expected x1 < x2 and y1 < y2 (upper left corner, lower right corner)"
+        )
+
+
+def _row(values: FloatArray) -> str:
+    return "(" + ", ".join(f"{v:g}" for v in values) + ")"
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes(_Columns):
+    """The log of one vessel or vehicle: where it was, in the order of time.
+
+    Attributes:
+        time_utc_s: (N,) float64, finite, never decreasing. Logs that keep whole seconds repeat
+            times; readers keep every fix and leave what to make of repeats to the interpolation.
+        latitude_deg: (N,) float64.
+        longitude_deg: (N,) float64.
+        name: Whose log it is (a vessel's name, an MMSI), or ``""``.
+
+    Raises:
+        InputError: A column is of another length, times decrease, or a place is not on the earth.
+    """
+
+    time_utc_s: FloatArray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    name: str = ""
+
+    _row_fields = ("time_utc_s", "latitude_deg", "longitude_deg")
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_utc_s)
+        for name in self._row_fields:
+            _freeze(self, name, getattr(self, name), np.float64, (n,))
+        if not np.isfinite(self.time_utc_s).all():
+            i = int(np.argmin(np.isfinite(self.time_utc_s)))
+            raise InputError(f"fix {i + 1} has no time")
+        check_geographic(self.latitude_deg, self.longitude_deg, "fixes")
+        backwards = np.diff(self.time_utc_s) < 0.0
+        if backwards.any():
+            i = int(np.argmax(backwards))
+            raise InputError(
+                f"fix {i + 2} is {self.time_utc_s[i] - self.time_utc_s[i + 1]:g} s before the fix "
+                "that it follows; the times of a log must not decrease"
+            )
+
+    def __len__(self) -> int:
+        return int(self.time_utc_s.size)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoints(_Columns):
+    """Pixels whose place on the earth is known: a buoy, the corner of a pier, a road marking.
+
+    Attributes:
+        pixel_px: (N, 2) float64, x and y.
+        latitude_deg: (N,) float64.
+        longitude_deg: (N,) float64.
+    """
+
+    pixel_px: FloatArray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+
+    _row_fields = ("pixel_px", "latitude_deg", "longitude_deg")
+
+    def __post_init__(self) -> None:
+        n = np.size(self.latitude_deg)
+        _freeze(self, "pixel_px", np.reshape(self.pixel_px, (-1, 2)), np.float64, (n, 2))
+        _freeze(self, "latitude_deg", self.latitude_deg, np.float64, (n,))
+        _freeze(self, "longitude_deg", self.longitude_deg, np.float64, (n,))
+        check_geographic(self.latitude_deg, self.longitude_deg, "control points")
+        if not np.isfinite(self.pixel_px).all():
+            raise InputError("control points: a pixel is not a number")
+
+    def __len__(self) -> int:
+        return int(self.latitude_deg.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Positions(_Columns):
+    """Where boxes lie on the earth, one row a box.
+
+    Attributes:
+        east_m: (N,) float64, metres; NaN where there is no position (at or above the horizon).
+        north_m: (N,) float64, metres.
+        covariance_m2: (N, 2, 2) float64, NaN where there is no position.
+        extrapolated: (N,) bool, True where the box lies beyond those that the model learned from,
+            and where there is no position at all.
+        plane: Where the origin lies on the earth.
+    """
+
+    east_m: FloatArray
+    north_m: FloatArray
+    covariance_m2: FloatArray
+    extrapolated: BoolArray
+    plane: LocalPlane
+
+    _row_fields = ("east_m", "north_m", "covariance_m2", "extrapolated")
+
+    def __post_init__(self) -> None:
+        n = np.size(self.east_m)
+        _freeze(self, "east_m", self.east_m, np.float64, (n,))
+        _freeze(self, "north_m", self.north_m, np.float64, (n,))
+        _freeze(self, "covariance_m2", self.covariance_m2, np.float64, (n, 2, 2))
+        _freeze(self, "extrapolated", self.extrapolated, np.bool_, (n,))
+
+    def __len__(self) -> int:
+        return int(self.east_m.size)
+
+    @property
+    def known(self) -> BoolArray:
+        """(N,) bool, True where there is a position."""
+        return np.isfinite(self.east_m)
+
+    @property
+    def latitude_deg(self) -> FloatArray:
+        """(N,) degrees north, NaN where there is no position."""
+        return self.plane.to_geographic(self.east_m, self.north_m)[0]
+
+    @property
+    def longitude_deg(self) -> FloatArray:
+        """(N,) degrees east, NaN where there is no position."""
+        return self.plane.to_geographic(self.east_m, self.north_m)[1]
+
+    @property
+    def range_m(self) -> FloatArray:
+        """(N,) metres from the origin of the plane."""
+        return np.hypot(self.east_m, self.north_m)
+
+
+class PointKind(IntEnum):
+    """How a point of a track came about."""
+
+    MEASURED = 0
+    INTERPOLATED = 1
+    EXTRAPOLATED = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Track(_Columns):
+    """The smooth path of one target, one row a point in time.
+
+    Attributes:
+        track_id: Its number.
+        time_utc_s: (N,) float64, finite, strictly increasing.
+        east_m: (N,) float64, finite.
+        north_m: (N,) float64, finite.
+        velocity_east_mps: (N,) float64, metres a second.
+        velocity_north_mps: (N,) float64, metres a second.
+        covariance_m2: (N, 2, 2) float64, of the position.
+        velocity_covariance_m2ps2: (N, 2, 2) float64, of the velocity.
+        kind: (N,) int8, a `PointKind` a row.
+        plane: Where the origin lies on the earth.
+        label: The class of the target, or ``""``.
+    """
+
+    track_id: int
+    time_utc_s: FloatArray
+    east_m: FloatArray
+    north_m: FloatArray
+    velocity_east_mps: FloatArray
+    velocity_north_mps: FloatArray
+    covariance_m2: FloatArray
+    velocity_covariance_m2ps2: FloatArray
+    kind: NDArray[np.int8]
+    plane: LocalPlane
+    label: str = ""
+
+    _row_fields = (
+        "time_utc_s",
+        "east_m",
+        "north_m",
+        "velocity_east_mps",
+        "velocity_north_mps",
+        "covariance_m2",
+        "velocity_covariance_m2ps2",
+        "kind",
+    )
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_utc_s)
+        for name in self._row_fields:
+            if name == "kind":
+                _freeze(self, name, self.kind, np.int8, (n,))
+            elif "covariance" in name:
+                _freeze(self, name, getattr(self, name), np.float64, (n, 2, 2))
+            else:
+                _freeze(self, name, getattr(self, name), np.float64, (n,))
+                if not np.isfinite(getattr(self, name)).all():
+                    raise InputError(f"track {self.track_id}: {name} has a value that is no number")
+        if (np.diff(self.time_utc_s) <= 0.0).any():
+            i = int(np.argmax(np.diff(self.time_utc_s) <= 0.0))
+            raise InputError(
+                f"track {self.track_id}: point {i + 2} is not later than the point before it; "
+                "the times of a track must increase"
+            )
+
+    def __len__(self) -> int:
+        return int(self.time_utc_s.size)
+
+    @property
+    def latitude_deg(self) -> FloatArray:
+        """(N,) degrees north."""
+        return self.plane.to_geographic(self.east_m, self.north_m)[0]
+
+    @property
+    def longitude_deg(self) -> FloatArray:
+        """(N,) degrees east."""
+        return self.plane.to_geographic(self.east_m, self.north_m)[1]
+
+    @property
+    def speed_mps(self) -> FloatArray:
+        """(N,) metres a second over ground."""
+        return np.hypot(self.velocity_east_mps, self.velocity_north_mps)
+
+    @property
+    def course_deg(self) -> FloatArray:
+        """(N,) degrees clockwise from north, course over ground."""
+        return np.degrees(np.arctan2(self.velocity_east_mps, self.velocity_north_mps)) % 360.0
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipses:
+    """Error ellipses of covariances.
+
+    Attributes:
+        semi_major_m: (N,) metres.
+        semi_minor_m: (N,) metres.
+        bearing_deg: (N,) of the major axis, degrees clockwise from north, in [0, 180).
+    """
+
+    semi_major_m: FloatArray
+    semi_minor_m: FloatArray
+    bearing_deg: FloatArray = field(repr=False)
+
+
+def ellipses(covariance_m2: FloatArray, probability: float = 0.95) -> Ellipses:
+    """The ellipses that hold the true position with a probability, under a normal distribution.
+
+    Args:
+        covariance_m2: (N, 2, 2) square metres, east and north.
+        probability: In (0, 1).
+    """
+    scale = np.sqrt(-2.0 * np.log1p(-probability))
+    known = np.isfinite(covariance_m2).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(np.where(known[:, None, None], covariance_m2, np.eye(2)))
+    axes = scale * np.sqrt(np.maximum(values, 0.0))
+    bearing = np.degrees(np.arctan2(vectors[:, 0, 1], vectors[:, 1, 1])) % 180.0
+    return Ellipses(
+        semi_major_m=np.where(known, axes[:, 1], np.nan),
+        semi_minor_m=np.where(known, axes[:, 0], np.nan),
+        bearing_deg=np.where(known, bearing, np.nan),
+    )

@@ -1,0 +1,1 @@
+"""Frames with times, from files, folders and streams."""
