@@ -1,0 +1,67 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sightline.errors import InputError
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside ``path`` that takes its place when the block ends well.
+
+    The temporary file lies in the same folder, so that the replacement is one step of the file
+    system, and ends in the same suffix, so that libraries that pick a format by it are not misled.
+    Missing parent folders are made. If the block raises, what it wrote is removed and an older
+    file under the final name stays as it was.
+
+    Args:
+        path: Where the file is to be.
+
+    Yields:
+        Where to write it: an empty file that exists already.
+
+    Raises:
+        InputError: The operating system refuses (disk full, no permission, ``path`` is a folder).
+    """
+    final = Path(path)
+    if final.is_dir():
+        raise InputError(f"{final}: cannot be written, it is a folder; give the name of a file")
+    temporary: Path | None = None
+    try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{final.stem[:40]}-", suffix=final.suffix, dir=final.parent
+        )
+        os.close(handle)
+        temporary = Path(name)
+        # mkstemp makes files private; the result is to be as readable as any other new file.
+        temporary.chmod(0o666 & ~_umask())
+        yield temporary
+        temporary.replace(final)
+    except OSError as error:
+        if not _concerns(error, final, temporary):
+            raise
+        raise InputError(f"{final}: cannot be written: {error.strerror or error}") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    current = os.umask(0)
+    os.umask(current)
+    return current
+
+
+def _concerns(error: OSError, final: Path, temporary: Path | None) -> bool:
+    """Whether a failure is of this file: reading another file in the block may fail as well."""
+    if error.filename is None:
+        return True
+    named = Path(os.fsdecode(error.filename))
+    return named in (final, temporary, final.parent) or named in final.parents

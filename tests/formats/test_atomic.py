@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from sightline.errors import InputError
+from sightline.formats.atomic import atomic_path
+
+
+def write_half_and_raise(target: Path, error: Exception) -> None:
+    with atomic_path(target) as path:
+        path.write_text("half")
+        raise error
+
+
+def test_the_file_appears_when_the_block_ends(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "result.json"
+    with atomic_path(target) as path:
+        path.write_text("whole")
+        assert path.suffix == ".json"
+        assert not target.exists()
+    assert target.read_text() == "whole"
+    assert [p.name for p in target.parent.iterdir()] == ["result.json"]
+
+
+def test_the_file_is_as_readable_as_any_other(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    with atomic_path(tmp_path / "atomic") as path:
+        path.write_text("")
+    assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+def test_an_exception_leaves_the_older_file_and_nothing_else(tmp_path: Path) -> None:
+    target = tmp_path / "result.csv"
+    target.write_text("older")
+    with pytest.raises(ZeroDivisionError):
+        write_half_and_raise(target, ZeroDivisionError())
+    assert target.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_full_disk_is_one_line_that_names_the_file(tmp_path: Path) -> None:
+    target = tmp_path / "result.csv"
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(InputError, match=r"result\.csv: cannot be written: No space left"):
+        write_half_and_raise(target, full)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_write_that_the_system_refuses(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No space left"), atomic_path(tmp_path / "a"):
+        Path("/dev/full").write_text("x")
+
+
+def test_a_folder_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a folder"), atomic_path(tmp_path):
+        pass
+
+
+def test_a_file_in_the_way_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "plain").write_text("")
+    inside = tmp_path / "plain" / "result.csv"
+    with pytest.raises(InputError, match="cannot be written"), atomic_path(inside):
+        pass
+
+
+def test_a_failure_of_another_file_stays_what_it_is(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a"):
+        (tmp_path / "elsewhere" / "missing").read_text()
