@@ -1,1 +1,51 @@
 """Stage 5: how far a track is from the log."""
+
+from sightline.evaluation.metrics import (
+    AbsoluteError,
+    Coverage,
+    LineOfSight,
+    Pairs,
+    RangeBin,
+    RelativeError,
+    absolute_error,
+    by_range,
+    coverage,
+    covered,
+    line_of_sight,
+    mahalanobis_squared,
+    pair_positions,
+    pair_track,
+    relative_error,
+)
+from sightline.evaluation.report import (
+    Matched,
+    Report,
+    TracksUsed,
+    evaluate_positions,
+    evaluate_tracks,
+    summarise,
+)
+
+__all__ = [
+    "AbsoluteError",
+    "Coverage",
+    "LineOfSight",
+    "Matched",
+    "Pairs",
+    "RangeBin",
+    "RelativeError",
+    "Report",
+    "TracksUsed",
+    "absolute_error",
+    "by_range",
+    "coverage",
+    "covered",
+    "evaluate_positions",
+    "evaluate_tracks",
+    "line_of_sight",
+    "mahalanobis_squared",
+    "pair_positions",
+    "pair_track",
+    "relative_error",
+    "summarise",
+]
