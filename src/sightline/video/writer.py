@@ -19,7 +19,11 @@ _CODECS = {"libx264": Fraction(1, 1_000_000), "mpeg4": Fraction(1, 60_000)}
 
 
 def write_video(
-    path: str | os.PathLike[str], frames: Iterable[Frame], *, bits_per_second: int = 4_000_000
+    path: str | os.PathLike[str],
+    frames: Iterable[Frame],
+    *,
+    bits_per_second: int = 4_000_000,
+    preset: str = "veryfast",
 ) -> int:
     """Write frames with the times at which they were taken, whatever their spacing.
 
@@ -32,6 +36,8 @@ def write_video(
         path: The file, ending in ``.mp4``.
         frames: In the order of time, all of one size, even in width and height.
         bits_per_second: Mean rate to aim for.
+        preset: How long H.264 may search for a better picture at that rate, one of x264's names,
+            ``"ultrafast"`` to ``"veryslow"``.
 
     Returns:
         The number of frames written.
