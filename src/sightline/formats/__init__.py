@@ -1,1 +1,230 @@
-"""Files that hold fixes, boxes and tracks: one module a format."""
+"""Files that hold fixes, boxes, clocks and tracks: one module a format.
+
+A file's ending picks its format, except for logs, where what is in the file decides.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import pandas as pd
+
+from sightline.errors import InputError
+from sightline.formats import _files, _track_table
+from sightline.formats.ais import read_ais, read_ais_vessel
+from sightline.formats.atomic import atomic_path
+from sightline.formats.boxes_csv import iter_boxes_csv, write_boxes_csv
+from sightline.formats.clock_csv import read_clock
+from sightline.formats.control_points import read_control_points
+from sightline.formats.fixes_csv import read_fixes_csv, write_fixes_csv
+from sightline.formats.geojson import geojson_track_writer, read_geojson_table
+from sightline.formats.geopackage import geopackage_track_writer, read_geopackage_table
+from sightline.formats.gpx import gpx_track_writer, read_gpx, read_gpx_table, write_gpx
+from sightline.formats.kml import kml_track_writer
+from sightline.formats.mot import iter_mot, write_mot
+from sightline.formats.nmea import read_nmea
+from sightline.formats.parquet import parquet_track_writer, read_parquet_table
+from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
+from sightline.geodesy import LocalPlane
+from sightline.types import Boxes, Fixes, Track
+
+__all__ = [
+    "TrackWriter",
+    "atomic_path",
+    "iter_boxes",
+    "read_ais",
+    "read_boxes",
+    "read_clock",
+    "read_control_points",
+    "read_fixes",
+    "read_tracks",
+    "track_writer",
+    "write_boxes",
+    "write_fixes",
+    "write_tracks",
+]
+
+T = TypeVar("T")
+
+_CHUNK_ROWS = 100_000
+_AIS = re.compile(r"![A-Z]{2}VD[MO],\d")
+_NMEA = re.compile(r"\$[A-Z]{2}(RMC|GGA|ZDA),")
+
+
+class TrackWriter(Protocol):
+    """What takes tracks for a file, one at a time."""
+
+    def add(self, track: Track) -> None:
+        """Write a track, or keep it until the file is complete where its format wants that."""
+        ...
+
+
+_WRITERS: dict[str, Callable[[Path], AbstractContextManager[TrackWriter]]] = {
+    ".geojson": geojson_track_writer,
+    ".gpx": gpx_track_writer,
+    ".kml": kml_track_writer,
+    ".csv": csv_track_writer,
+    ".parquet": parquet_track_writer,
+    ".gpkg": geopackage_track_writer,
+}
+_READERS: dict[str, Callable[[str | os.PathLike[str]], pd.DataFrame]] = {
+    ".geojson": read_geojson_table,
+    ".gpx": read_gpx_table,
+    ".csv": read_csv_table,
+    ".parquet": read_parquet_table,
+    ".gpkg": read_geopackage_table,
+}
+_BOX_READERS = {".csv": iter_boxes_csv, ".txt": iter_mot}
+_BOX_WRITERS = {".csv": write_boxes_csv, ".txt": write_mot}
+_FIX_WRITERS = {".csv": write_fixes_csv, ".gpx": write_gpx}
+
+
+def _by_suffix(path: str | os.PathLike[str], known: dict[str, T], what: str) -> T:
+    suffix = Path(path).suffix.lower()
+    if suffix not in known:
+        raise InputError(
+            f"{path}: no format of {what} ends in {suffix or 'nothing'!r}; known are "
+            f"{', '.join(known)}"
+        )
+    return known[suffix]
+
+
+def read_fixes(path: str | os.PathLike[str], *, mmsi: int | None = None) -> Fixes:
+    """The log of one vessel or vehicle: GPX, NMEA 0183, AIS or CSV.
+
+    What is in the file decides: XML is GPX; ``$..RMC`` and ``$..GGA`` sentences are the log of a
+    receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
+    ``time_utc,latitude_deg,longitude_deg``. A log with both kinds of sentences is read as AIS if
+    an MMSI is given.
+
+    Args:
+        path: The file.
+        mmsi: Which vessel of an AIS log; needed where it holds several.
+
+    Raises:
+        InputError: The file is missing, empty, damaged or of no known kind; has no times, times
+            that decrease or places off the earth; or several vessels and none is chosen.
+    """
+    head = _files.beginning(path)
+    if _AIS.search(head) and (mmsi is not None or not _NMEA.search(head)):
+        return read_ais_vessel(path, mmsi)
+    if mmsi is not None:
+        raise InputError(f"{path}: holds no AIS sentence, so no vessel can be chosen by its MMSI")
+    if _NMEA.search(head):
+        return read_nmea(path)
+    if head.lstrip("\ufeff \t\r\n").startswith("<") or Path(path).suffix.lower() == ".gpx":
+        return read_gpx(path)
+    if Path(path).suffix.lower() == ".csv":
+        return read_fixes_csv(path)
+    raise InputError(
+        f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC or GGA), AIS (!AIVDM) or "
+        "a .csv table with time_utc,latitude_deg,longitude_deg"
+    )
+
+
+def write_fixes(fixes: Fixes, path: str | os.PathLike[str]) -> None:
+    """Write a log as GPX or CSV, by the file's ending.
+
+    Raises:
+        InputError: The ending is unknown, or the file cannot be written.
+    """
+    _by_suffix(path, _FIX_WRITERS, "logs")(fixes, path)
+
+
+def read_boxes(
+    path: str | os.PathLike[str], *, source: str | None = None, skip_empty: bool = False
+) -> Boxes:
+    """All boxes of a file: a CSV table, or a MOTChallenge file (``.txt``).
+
+    Args:
+        path: The file; for its columns see `sightline.formats.boxes_csv` and `.mot`.
+        source: The source of boxes that name none; None: ``""``.
+        skip_empty: Leave out boxes without width or height, which some detectors put out, and
+            log a warning that says how many, rather than refuse the file.
+
+    Raises:
+        InputError: The file cannot be used; names the line.
+    """
+    return Boxes.concatenate(list(iter_boxes(path, source=source, skip_empty=skip_empty)))
+
+
+def iter_boxes(
+    path: str | os.PathLike[str],
+    chunk_rows: int = _CHUNK_ROWS,
+    *,
+    source: str | None = None,
+    skip_empty: bool = False,
+) -> Iterator[Boxes]:
+    """The boxes of a file in chunks, at a memory that does not grow with its length.
+
+    Args:
+        path: As for `read_boxes`.
+        chunk_rows: Most rows in a chunk.
+        source: As for `read_boxes`.
+        skip_empty: As for `read_boxes`.
+
+    Raises:
+        InputError: The file cannot be used; names the line.
+    """
+    return _by_suffix(path, _BOX_READERS, "boxes")(
+        path, chunk_rows, source=source or "", skip_empty=skip_empty
+    )
+
+
+def write_boxes(boxes: Boxes, path: str | os.PathLike[str]) -> None:
+    """Write boxes as CSV or MOTChallenge (``.txt``), by the file's ending.
+
+    Raises:
+        InputError: The ending is unknown, or the file cannot be written.
+    """
+    _by_suffix(path, _BOX_WRITERS, "boxes")(boxes, path)
+
+
+@contextmanager
+def track_writer(path: str | os.PathLike[str]) -> Iterator[TrackWriter]:
+    """Write tracks as they are finished; the file appears when the block ends well.
+
+    CSV, GeoJSON, GPX, Parquet and GeoPackage are written track by track, at a memory that does
+    not grow with their number; KML is kept until the end.
+
+    Args:
+        path: Ends in .geojson, .gpx, .kml, .csv, .parquet or .gpkg; the last two need the extras
+            ``sightline[parquet]`` and ``sightline[geopackage]``.
+
+    Raises:
+        InputError: The ending is unknown, an extra is missing, or the file cannot be written.
+    """
+    opened = _by_suffix(path, _WRITERS, "tracks")
+    with atomic_path(path) as temporary, opened(temporary) as writer:
+        yield writer
+
+
+def write_tracks(tracks: Iterable[Track], path: str | os.PathLike[str]) -> None:
+    """Write tracks in the format that the file's ending names; see `track_writer`."""
+    with track_writer(path) as writer:
+        for track in tracks:
+            writer.add(track)
+
+
+def read_tracks(
+    path: str | os.PathLike[str], *, plane: LocalPlane | None = None
+) -> tuple[Track, ...]:
+    """The tracks of a GeoJSON, GPX, CSV, Parquet or GeoPackage file.
+
+    Files of others will do where they have the columns (properties) ``track_id``, ``time_utc``
+    (``time``) and the place. Velocities that a file does not give are differences of places;
+    covariances that it does not give are NaN.
+
+    Args:
+        path: The file.
+        plane: The plane of the tracks; None: one that touches the earth at the first point.
+
+    Raises:
+        InputError: The ending is unknown, or the file cannot be used.
+    """
+    return _track_table.tracks(path, _by_suffix(path, _READERS, "tracks")(path), plane)

@@ -1,0 +1,197 @@
+"""Tracks as one table: what all formats of tracks write and read."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pandas as pd
+
+from sightline.errors import InputError
+from sightline.formats import _files
+from sightline.geodesy import LocalPlane
+from sightline.types import (
+    FloatArray,
+    PointKind,
+    Track,
+    ellipses,
+    from_datetime64,
+    to_datetime64,
+)
+
+KINDS = tuple(kind.name.lower() for kind in PointKind)
+"""The word for each `PointKind`, by its value."""
+
+REQUIRED = ("track_id", "time_utc", "latitude_deg", "longitude_deg")
+"""Columns without which a table holds no tracks."""
+
+_COVARIANCE = ("var_east_m2", "cov_east_north_m2", "var_north_m2")
+_VELOCITY_COVARIANCE = (
+    "var_velocity_east_m2ps2",
+    "cov_velocity_east_north_m2ps2",
+    "var_velocity_north_m2ps2",
+)
+_ELLIPSE = ("semi_major_m", "semi_minor_m", "ellipse_bearing_deg")
+_PROBABILITY = 0.95
+
+
+def table(track: Track) -> pd.DataFrame:
+    """A track as a table, a row a point.
+
+    Degrees are rounded to nine places (0.1 mm), times to milliseconds. ``kind`` is a word of
+    `KINDS`; the ellipse holds the true position with 95 %.
+    """
+    ellipse = ellipses(track.covariance_m2, _PROBABILITY)
+    milliseconds = np.round(track.time_utc_s * 1000.0) / 1000.0
+    columns: dict[str, object] = {
+        "track_id": np.full(len(track), track.track_id, dtype=np.int64),
+        "time_utc": pd.DatetimeIndex(to_datetime64(milliseconds)).as_unit("ms").tz_localize("UTC"),
+        "latitude_deg": np.round(track.latitude_deg, 9),
+        "longitude_deg": np.round(track.longitude_deg, 9),
+        "speed_mps": np.round(track.speed_mps, 6),
+        "course_deg": np.round(track.course_deg, 6),
+        "kind": np.array(KINDS)[track.kind],
+        "label": pd.array([track.label] * len(track), dtype="str"),
+    }
+    columns |= dict(zip(_COVARIANCE, _triangle(track.covariance_m2), strict=True))
+    columns |= dict(
+        zip(_VELOCITY_COVARIANCE, _triangle(track.velocity_covariance_m2ps2), strict=True)
+    )
+    axes = (ellipse.semi_major_m, ellipse.semi_minor_m, ellipse.bearing_deg)
+    columns |= {name: np.round(axis, 6) for name, axis in zip(_ELLIPSE, axes, strict=True)}
+    return pd.DataFrame(columns)
+
+
+def empty() -> pd.DataFrame:
+    """The table of a track without points: its columns and their types."""
+    nothing = np.empty(0)
+    no_covariance = np.empty((0, 2, 2))
+    plane = LocalPlane(0.0, 0.0)
+    return table(
+        Track(0, *(nothing,) * 5, no_covariance, no_covariance, nothing.astype(np.int8), plane)
+    )
+
+
+def with_posix_times(path: str | os.PathLike[str], rows: pd.DataFrame) -> pd.DataFrame:
+    """A table that has ``time_utc`` as time stamps, with ``time_utc_s``.
+
+    Raises:
+        InputError: A column is missing.
+    """
+    missing = [name for name in REQUIRED if name not in rows]
+    if missing:
+        raise InputError(
+            f"{path}: lacks {', '.join(missing)}; found {', '.join(map(str, rows.columns))}"
+        )
+    stamps = pd.to_datetime(rows["time_utc"], utc=True).dt.tz_localize(None)
+    return rows.assign(time_utc_s=from_datetime64(stamps.to_numpy()))
+
+
+def _triangle(covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+
+
+def tracks(
+    path: str | os.PathLike[str], rows: pd.DataFrame, plane: LocalPlane | None
+) -> tuple[Track, ...]:
+    """The tracks of a table, in the order in which they first appear.
+
+    Args:
+        path: Where the table is from, for messages.
+        rows: Columns track_id, latitude_deg, longitude_deg and time_utc_s; optionally those of
+            `table`. Without speed and course, velocities are differences of places; without
+            covariances, they come from the ellipse or are NaN; without a kind, points are measured.
+        plane: The plane of the tracks; None: one at the first point.
+
+    Raises:
+        InputError: There is no row, a place is not on the earth, the times of a track do not
+            increase, or a kind is unknown.
+    """
+    if rows.empty:
+        raise InputError(f"{path}: holds no point of a track")
+    latitude = rows["latitude_deg"].to_numpy(dtype=float)
+    longitude = rows["longitude_deg"].to_numpy(dtype=float)
+    # Fixes says which row lies off the earth; times are looked at track by track.
+    _files.fixes(path, rows.index, np.zeros(len(rows)), latitude, longitude, row="row")
+    if plane is None:
+        plane = LocalPlane(float(latitude[0]), float(longitude[0]))
+    try:
+        return tuple(_track(part, plane) for _, part in rows.groupby("track_id", sort=False))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _track(rows: pd.DataFrame, plane: LocalPlane) -> Track:
+    time_s = rows["time_utc_s"].to_numpy(dtype=float)
+    east, north = plane.to_plane(rows["latitude_deg"], rows["longitude_deg"])
+    if {"speed_mps", "course_deg"} <= set(rows.columns) and rows["speed_mps"].notna().all():
+        speed = rows["speed_mps"].to_numpy(dtype=float)
+        course = np.radians(rows["course_deg"].to_numpy(dtype=float))
+        velocity_east, velocity_north = speed * np.sin(course), speed * np.cos(course)
+    else:
+        velocity_east, velocity_north = _slope(east, time_s), _slope(north, time_s)
+    return Track(
+        track_id=int(rows["track_id"].iloc[0]),
+        time_utc_s=time_s,
+        east_m=east,
+        north_m=north,
+        velocity_east_mps=velocity_east,
+        velocity_north_mps=velocity_north,
+        covariance_m2=_covariance(rows),
+        velocity_covariance_m2ps2=_symmetric(rows, _VELOCITY_COVARIANCE),
+        kind=_kinds(rows),
+        plane=plane,
+        label=_label(rows),
+    )
+
+
+def _slope(values: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Velocities from places; of times that do not increase `Track` will complain."""
+    if values.size < 2 or (np.diff(time_s) <= 0.0).any():
+        return np.zeros(values.size)
+    return np.asarray(np.gradient(values, time_s))
+
+
+def _symmetric(rows: pd.DataFrame, names: tuple[str, str, str]) -> FloatArray:
+    if not set(names) <= set(rows.columns):
+        return np.full((len(rows), 2, 2), np.nan)
+    first, mixed, second = (rows[name].to_numpy(dtype=float) for name in names)
+    return np.stack([first, mixed, mixed, second], axis=1).reshape(-1, 2, 2)
+
+
+def _covariance(rows: pd.DataFrame) -> FloatArray:
+    if set(_COVARIANCE) <= set(rows.columns) or not set(_ELLIPSE) <= set(rows.columns):
+        return _symmetric(rows, _COVARIANCE)
+    major, minor, bearing = (rows[name].to_numpy(dtype=float) for name in _ELLIPSE)
+    scale = -2.0 * np.log1p(-_PROBABILITY)
+    east, north = np.sin(np.radians(bearing)), np.cos(np.radians(bearing))
+    along, across = major**2 / scale, minor**2 / scale
+    mixed = (along - across) * east * north
+    return np.stack(
+        [
+            along * east**2 + across * north**2,
+            mixed,
+            mixed,
+            along * north**2 + across * east**2,
+        ],
+        axis=1,
+    ).reshape(-1, 2, 2)
+
+
+def _kinds(rows: pd.DataFrame) -> np.ndarray:
+    if "kind" not in rows:
+        return np.full(len(rows), PointKind.MEASURED, dtype=np.int8)
+    code = {word: value for value, word in enumerate(KINDS)}
+    kinds = rows["kind"].map(code)
+    if kinds.isna().any():
+        raise InputError(
+            f"unknown kind {rows['kind'][kinds.isna()].iloc[0]!r}; known are {', '.join(KINDS)}"
+        )
+    return kinds.to_numpy(dtype=np.int8)
+
+
+def _label(rows: pd.DataFrame) -> str:
+    if "label" not in rows:
+        return ""
+    label = rows["label"].iloc[0]
+    return "" if pd.isna(label) else str(label)

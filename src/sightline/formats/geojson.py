@@ -1,0 +1,109 @@
+"""Tracks as GeoJSON (RFC 7946): a Point feature a fix, as QGIS, Leaflet and geopandas read it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import pandas as pd
+
+from sightline.errors import InputError
+from sightline.formats import _files, _track_table
+from sightline.types import Track
+
+_PROPERTIES = (
+    "speed_mps",
+    "course_deg",
+    "kind",
+    "semi_major_m",
+    "semi_minor_m",
+    "ellipse_bearing_deg",
+    "label",
+)
+
+
+@contextmanager
+def geojson_track_writer(path: Path) -> Iterator[GeoJsonTrackWriter]:
+    """Write tracks one at a time, a feature a point."""
+    with path.open("w", encoding="utf-8") as file:
+        file.write('{"type": "FeatureCollection", "features": [')
+        yield GeoJsonTrackWriter(file)
+        file.write("\n]}\n")
+
+
+class GeoJsonTrackWriter:
+    """Adds tracks to an open GeoJSON file; see `geojson_track_writer`."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self._separator = "\n"
+
+    def add(self, track: Track) -> None:
+        """Write one track."""
+        rows = _track_table.table(track)
+        # JSON knows no NaN: what is not known is null.
+        properties = rows[list(_PROPERTIES)].astype(object)
+        properties = properties.where(properties.notna(), None)
+        properties.insert(0, "track_id", track.track_id)
+        properties.insert(1, "time", _files.rfc3339(track.time_utc_s))
+        places = zip(rows["longitude_deg"].tolist(), rows["latitude_deg"].tolist(), strict=True)
+        for place, known in zip(places, properties.to_dict("records"), strict=True):
+            feature = {
+                "type": "Feature",
+                "geometry": {"type": "Point", "coordinates": place},
+                "properties": known,
+            }
+            self._file.write(self._separator + json.dumps(feature, allow_nan=False))
+            self._separator = ",\n"
+
+
+def read_geojson_table(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """The Point features of a GeoJSON file that have a ``track_id`` and a ``time``.
+
+    Returns:
+        A table with ``time_utc_s``, indexed by the number of the feature, from 1.
+
+    Raises:
+        InputError: The file is no GeoJSON, or a feature is no point with track_id and time.
+    """
+    _files.beginning(path)
+    try:
+        document = json.loads(_files.existing(path).read_text(encoding="utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no JSON, is damaged, or is cut short ({error})") from error
+    features = document.get("features") if isinstance(document, dict) else None
+    if not isinstance(features, list):
+        raise InputError(f"{path}: is no GeoJSON FeatureCollection")
+    if not features:
+        raise InputError(f"{path}: holds no point of a track")
+    rows = pd.DataFrame([_row(path, i, feature) for i, feature in enumerate(features, start=1)])
+    rows.index += 1
+    rows["track_id"] = _files.whole_numbers(path, rows["track_id"])
+    rows["time_utc_s"] = _files.times(path, rows["time"])
+    for name in ("latitude_deg", "longitude_deg"):
+        rows[name] = _files.numbers(path, rows[name])
+    return rows
+
+
+def _row(path: str | os.PathLike[str], number: int, feature: Any) -> dict[str, Any]:
+    try:
+        geometry, properties = feature["geometry"], feature["properties"]
+        longitude, latitude = geometry["coordinates"][:2]
+        if geometry["type"] != "Point":
+            raise KeyError(geometry["type"])
+        return {
+            **{name: properties.get(name, np.nan) for name in _PROPERTIES if name in properties},
+            "track_id": properties["track_id"],
+            "time": properties["time"],
+            "longitude_deg": longitude,
+            "latitude_deg": latitude,
+        }
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise InputError(
+            f"{path}, feature {number}: is no Point with the properties track_id and time"
+        ) from error

@@ -1,0 +1,79 @@
+"""Tracks as a GeoPackage for QGIS, through the extra ``sightline[geopackage]``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pandas as pd
+
+from sightline.errors import InputError
+from sightline.formats import _files, _track_table
+from sightline.formats._extras import module
+from sightline.types import Track
+
+_LAYER = "tracks"
+_ROWS_AT_ONCE = 50_000
+
+
+@contextmanager
+def geopackage_track_writer(path: Path) -> Iterator[GeoPackageTrackWriter]:
+    """Write tracks one at a time, a point feature a point, in the layer ``tracks``."""
+    # The driver makes its own file and does not take an empty one for it.
+    path.unlink()
+    writer = GeoPackageTrackWriter(path)
+    yield writer
+    writer.flush()
+
+
+class GeoPackageTrackWriter:
+    """Adds tracks to a GeoPackage; see `geopackage_track_writer`."""
+
+    def __init__(self, path: Path) -> None:
+        self._geopandas = module("geopandas", "geopackage")
+        self._path = path
+        self._waiting = [_track_table.empty()]
+        self._rows = 0
+
+    def add(self, track: Track) -> None:
+        """Add one track; it is written with others, since each write is a transaction."""
+        self._waiting.append(_track_table.table(track))
+        self._rows += len(track)
+        if self._rows >= _ROWS_AT_ONCE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is waiting."""
+        rows = pd.concat([part for part in self._waiting if len(part)] or self._waiting)
+        self._waiting, self._rows = [], 0
+        frame = self._geopandas.GeoDataFrame(
+            rows,
+            geometry=self._geopandas.points_from_xy(rows["longitude_deg"], rows["latitude_deg"]),
+            crs="EPSG:4326",
+        )
+        mode = "a" if self._path.exists() else "w"
+        frame.to_file(
+            self._path,
+            layer=_LAYER,
+            driver="GPKG",
+            mode=mode,
+            geometry_type="Point",
+            engine="pyogrio",
+        )
+
+
+def read_geopackage_table(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """The points of the layer ``tracks`` of a GeoPackage, with ``time_utc_s``.
+
+    Raises:
+        InputError: The file is no GeoPackage, has no such layer, or a column is missing.
+    """
+    geopandas = module("geopandas", "geopackage")
+    errors = module("pyogrio.errors", "geopackage")
+    try:
+        rows = geopandas.read_file(_files.existing(path), layer=_LAYER, engine="pyogrio")
+    except (errors.DataSourceError, errors.DataLayerError) as error:
+        raise InputError(f"{path}: is no GeoPackage with a layer {_LAYER!r} ({error})") from error
+    return _track_table.with_posix_times(path, pd.DataFrame(rows.drop(columns="geometry")))

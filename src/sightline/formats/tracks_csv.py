@@ -1,0 +1,49 @@
+"""Tracks as CSV: every column, for a spreadsheet or pandas."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+import pandas as pd
+
+from sightline.formats import _files, _track_table
+from sightline.types import Track
+
+
+@contextmanager
+def csv_track_writer(path: Path) -> Iterator[CsvTrackWriter]:
+    """Write tracks one at a time, a row a point."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        yield CsvTrackWriter(file)
+
+
+class CsvTrackWriter:
+    """Adds tracks to an open CSV file; see `csv_track_writer`."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        _track_table.empty().to_csv(file, index=False)
+
+    def add(self, track: Track) -> None:
+        """Write one track."""
+        rows = _track_table.table(track)
+        rows["time_utc"] = _files.rfc3339(track.time_utc_s)
+        rows.to_csv(self._file, index=False, header=False)
+
+
+def read_csv_table(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """The points of all tracks in a CSV file, with ``time_utc_s``.
+
+    Raises:
+        InputError: A column is missing, or a cell cannot be understood.
+    """
+    (rows,) = _files.table(path, required=_track_table.REQUIRED, text=("label", "kind"))
+    rows["time_utc_s"] = _files.times(path, rows["time_utc"])
+    rows["track_id"] = _files.whole_numbers(path, rows["track_id"])
+    for name in ("latitude_deg", "longitude_deg"):
+        rows[name] = _files.numbers(path, rows[name])
+    return rows
