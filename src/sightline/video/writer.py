@@ -63,7 +63,7 @@ def write_video(
                         f"{path}: frames of {shape[1]} x {shape[0]} px cannot be encoded; "
                         "width and height must be even"
                     )
-                stream = _add_stream(container, codec, shape, bits_per_second)
+                stream = _add_stream(container, codec, shape, bits_per_second, preset)
                 container.metadata["creation_time"] = datetime.fromtimestamp(start_s, UTC).strftime(
                     "%Y-%m-%dT%H:%M:%S.%fZ"
                 )
@@ -94,11 +94,14 @@ def _add_stream(
     codec: str,
     shape: tuple[int, ...],
     bits_per_second: int,
+    preset: str,
 ) -> av.VideoStream:
     stream = container.add_stream(codec, rate=25)
     assert isinstance(stream, av.VideoStream)
     stream.height, stream.width = shape[:2]
     stream.pix_fmt = "yuv420p"
     stream.bit_rate = bits_per_second
+    if codec == "libx264":
+        stream.options = {"preset": preset}
     stream.time_base = stream.codec_context.time_base = _CODECS[codec]
     return stream
