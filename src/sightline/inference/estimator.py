@@ -85,11 +85,13 @@ def like_targets(estimator: Any, predicted: FloatArray) -> FloatArray:
 
 
 class Scaler:
-    """Columns brought to mean 0 and standard deviation 1; a constant column only to mean 0.
+    """Columns brought to mean 0 and standard deviation 1.
+
+    A constant column is brought to 0, and whatever is predicted for it goes back to the constant.
 
     Attributes:
         mean: (K,) float64.
-        scale: (K,) float64, positive.
+        scale: (K,) float64, the standard deviations; 0 for a constant column.
     """
 
     def __init__(self, mean: FloatArray, scale: FloatArray) -> None:
@@ -102,11 +104,11 @@ class Scaler:
         scale = values.std(axis=0)
         # What rounding leaves of a constant column must not be blown up to 1.
         negligible = scale <= 10.0 * np.finfo(float).eps * np.abs(values).max(axis=0)
-        return cls(values.mean(axis=0), np.where(negligible, 1.0, scale))
+        return cls(values.mean(axis=0), np.where(negligible, 0.0, scale))
 
     def forward(self, values: FloatArray) -> FloatArray:
         """Standardised values."""
-        return (values - self.mean) / self.scale
+        return (values - self.mean) / np.where(self.scale > 0.0, self.scale, 1.0)
 
     def back(self, values: FloatArray) -> FloatArray:
         """The values that `forward` standardised."""

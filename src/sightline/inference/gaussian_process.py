@@ -26,6 +26,9 @@ from sightline.types import FloatArray
 _BLOCK_ROWS = 2048
 """Rows predicted at once; each needs a row of the kernel matrix against all points kept."""
 
+_KERNEL_POINTS = 500
+"""Points that the kernel's three parameters are found from; more of them tell little more."""
+
 
 class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     """An exact Gaussian process with an RBF kernel and white noise, on standardised data.
@@ -36,10 +39,11 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
     (the intrinsic model of coregionalisation, under which the mean stays that of each output
     alone). So errors that run along a line of sight have ellipses that do.
 
-    The fit takes time with the third power of the points (a few seconds for 2,000). Of more rows
-    than `max_points` it keeps those that lie furthest apart, beginning with the one nearest the
-    middle and always adding the one furthest from all kept so far: the same rows give the same
-    points, and sparse regions keep theirs.
+    Time grows with the third power of the points. Of more rows than `max_points` the process
+    keeps those that lie furthest apart, beginning with the one nearest the middle and always
+    adding the one furthest from all kept so far: the same rows give the same points, and sparse
+    regions keep theirs. The kernel's parameters are found from at most 500 of the points kept,
+    chosen in the same way.
 
     Args:
         max_points: Rows to keep at most.
@@ -66,17 +70,16 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
         inputs = self._feature_scaler.forward(features)
         kept = spread_out(inputs, self.max_points)
         self._target_scaler = Scaler.of(targets[kept])
+        inputs, outputs = inputs[kept], self._target_scaler.forward(targets[kept])
+        few = spread_out(inputs, _KERNEL_POINTS)
         kernel = ConstantKernel(1.0, (1e-3, 1e3)) * RBF(1.0, (1e-2, 1e2)) + WhiteKernel(
             1e-2, (1e-6, 1e1)
         )
         with warnings.catch_warnings():
             # A parameter at its bound is an answer: no structure, or no noise.
             warnings.simplefilter("ignore", ConvergenceWarning)
-            self._set_process(
-                GaussianProcessRegressor(kernel).fit(
-                    inputs[kept], self._target_scaler.forward(targets[kept])
-                )
-            )
+            found = GaussianProcessRegressor(kernel).fit(inputs[few], outputs[few]).kernel_
+        self._set_process(GaussianProcessRegressor(found, optimizer=None).fit(inputs, outputs))
         return self
 
     def predict(

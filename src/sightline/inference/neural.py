@@ -53,7 +53,7 @@ class NeuralNetworkRegression(RegressorMixin, BaseEstimator):  # type: ignore[mi
         *,
         hidden_layer_sizes: tuple[int, ...] = (16,),
         alpha: float = 0.1,
-        max_iter: int = 2000,
+        max_iter: int = 500,
         n_folds: int = 5,
         random_state: int = 0,
     ) -> None:
