@@ -1,0 +1,573 @@
+"""The unknown camera, fitted to pixels whose place on the earth is known.
+
+Maximum a posteriori estimate of the camera of `sightline.inference.camera`, together with a bias
+of the lower edge for each source of boxes. Residuals are pixels, because that is where the noise
+is: of the row and the column of a box's foot, each with a part that is constant in pixels and a
+part that is constant in metres at the target (a drawn waterline is wrong by a share of the hull, a
+log by metres), both estimated from the residuals. Large residuals count less (Huber). Priors on
+height, focal length, roll and distortion hold what thin data leaves open, and the posterior says
+which those were.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, minimize
+
+from sightline.errors import FitError
+from sightline.inference.camera import PARAMETERS, Camera, project_with_jacobian
+from sightline.types import BoolArray, FloatArray, IntArray
+
+SOURCE_PARAMETERS = ("bias_px", "bias_m")
+"""What is unknown of each source of boxes: see `SourceBias`."""
+
+NO_SOURCE = -1
+"""The source of a control point, whose pixel has no habit."""
+
+_N = len(PARAMETERS)
+_HUBER = 2.0
+_OUTLIER = 4.0
+# A start first sees the data through noise so many times wider, under which the posterior is
+# smooth and no residual is large enough to be cut off.
+_WIDE = 20.0
+_KNOWN_AT = 0.7
+
+
+@dataclass(frozen=True)
+class CameraPrior:
+    """What is believed of a camera before any data, as means and standard deviations.
+
+    Attributes:
+        height_m: Median; ``height_log_sigma`` is the standard deviation of its logarithm.
+        height_log_sigma: See ``height_m``.
+        pitch_deg: Mean and standard deviation.
+        roll_deg: Mean and standard deviation.
+        focal_widths: Median focal length in image widths.
+        focal_log_sigma: Standard deviation of the logarithm of the focal length.
+        k1_sigma: About zero.
+        k2_sigma: About zero.
+        position_sigma_m: Of the camera about the place that the scene states.
+        bias_px_sigma: Of each source's lower edge, pixels.
+        bias_m_sigma: Of each source's lower edge, metres of height at the target.
+        clock_sigma_s: Of each recording's clock against the log: logs and clocks often keep whole
+            seconds.
+    """
+
+    height_m: float = 5.0
+    height_log_sigma: float = 0.7
+    pitch_deg: tuple[float, float] = (5.0, 15.0)
+    roll_deg: tuple[float, float] = (0.0, 3.0)
+    focal_widths: float = 0.8
+    focal_log_sigma: float = 0.3
+    k1_sigma: float = 0.15
+    k2_sigma: float = 0.1
+    position_sigma_m: float = 3.0
+    bias_px_sigma: float = 2.0
+    bias_m_sigma: float = 0.3
+    clock_sigma_s: float = 0.5
+
+    def moments(
+        self,
+        image_size_px: tuple[int, int],
+        n_sources: int,
+        n_clocks: int,
+        *,
+        position_known: bool,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Means and standard deviations of the whole parameter vector.
+
+        The heading has no prior (infinite standard deviation), and neither has the position of a
+        camera of which nobody knows where it stands.
+        """
+        position = self.position_sigma_m if position_known else np.inf
+        mean = [
+            np.log(self.height_m),
+            np.radians(self.pitch_deg[0]),
+            np.radians(self.roll_deg[0]),
+            0.0,
+            np.log(self.focal_widths * image_size_px[0]),
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+        ]
+        sigma = [
+            self.height_log_sigma,
+            np.radians(self.pitch_deg[1]),
+            np.radians(self.roll_deg[1]),
+            np.inf,
+            self.focal_log_sigma,
+            self.k1_sigma,
+            self.k2_sigma,
+            position,
+            position,
+        ]
+        return (
+            np.array(mean + [0.0, 0.0] * n_sources + [0.0] * n_clocks),
+            np.array(
+                sigma
+                + [self.bias_px_sigma, self.bias_m_sigma] * n_sources
+                + [self.clock_sigma_s] * n_clocks
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """Standard deviations of a box's foot, a pixel part and a part in metres at the target.
+
+    Attributes:
+        row_px: Of the row, pixels.
+        row_m: Of the row, metres of height at the target.
+        column_px: Of the column, pixels.
+        column_m: Of the column, metres across the line of sight.
+    """
+
+    row_px: float = 1.5
+    row_m: float = 0.2
+    column_px: float = 3.0
+    column_m: float = 1.0
+
+    def sigmas_px(self, pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations of column and row, pixels, each (N,).
+
+        Args:
+            pixels_per_metre: (N,) how large a metre at the target looks.
+        """
+        return (
+            np.hypot(self.column_px, self.column_m * pixels_per_metre),
+            np.hypot(self.row_px, self.row_m * pixels_per_metre),
+        )
+
+    def scaled(self, factor: float) -> PixelNoise:
+        """The same noise, wider by a factor."""
+        return PixelNoise(
+            self.row_px * factor,
+            self.row_m * factor,
+            self.column_px * factor,
+            self.column_m * factor,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Pixels whose place on the earth is known: feet of boxes, and control points.
+
+    Attributes:
+        pixel_px: (N, 2) float64, x and y.
+        east_m: (N,) float64.
+        north_m: (N,) float64.
+        source: (N,) int64, index of the source, `NO_SOURCE` for a control point.
+        group: (N,) int64, index of the recording; errors within one are alike.
+        velocity_mps: (N, 2) float64, east and north, of the target; zero where it stands still or
+            is not known.
+        sigma_m: (N,) float64, how far off the place may be: a control point read from a map. Zero
+            for boxes, whose noise is estimated.
+    """
+
+    pixel_px: FloatArray
+    east_m: FloatArray
+    north_m: FloatArray
+    source: IntArray
+    group: IntArray
+    velocity_mps: FloatArray
+    sigma_m: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.east_m.size)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFit:
+    """A fitted camera, and how well it is known.
+
+    Attributes:
+        vector: (9 + 2 S + G,) float64, the camera's parameter vector, then ``bias_px`` and
+            ``bias_m`` of each source, then how many seconds the clock of each recording is to be
+            moved on to agree with the log.
+        covariance: Square, of ``vector``.
+        prior_sigma: (9 + 2 S + G,) float64, infinite where there was no prior.
+        clock_groups: (G,) int64, the recordings whose clocks were estimated.
+        noise: Of a box's foot.
+        image_size_px: Width and height.
+        residual_px: (N, 2) float64, observed minus projected.
+        standard_residual: (N,) float64, the residual over its standard deviation, root mean square
+            of column and row.
+        leverage: (N,) float64, how much of the fit hangs on this sighting; they add up to the
+            number of parameters that the data determined.
+        outlier: (N,) bool, residuals beyond four standard deviations.
+        starts_agreeing: How many starts ended at this camera.
+        starts: How many there were.
+        typical_range_m: Median distance of the sightings from the camera.
+    """
+
+    vector: FloatArray
+    covariance: FloatArray
+    prior_sigma: FloatArray
+    clock_groups: IntArray
+    noise: PixelNoise
+    image_size_px: tuple[int, int]
+    residual_px: FloatArray
+    standard_residual: FloatArray
+    leverage: FloatArray
+    outlier: BoolArray
+    starts_agreeing: int
+    starts: int
+    typical_range_m: float
+
+    @property
+    def camera(self) -> Camera:
+        """The camera itself."""
+        return Camera.from_vector(self.vector[:_N], self.image_size_px)
+
+    @property
+    def clock_offset_s(self) -> FloatArray:
+        """(G,) seconds that each recording's clock is to be moved on."""
+        return self.vector[self.vector.size - self.clock_groups.size :]
+
+    @property
+    def clock_sigma_s(self) -> float:
+        """Standard deviation of a clock that was not seen yet, seconds; 0 where none was."""
+        count = self.clock_groups.size
+        if count == 0:
+            return 0.0
+        own = np.diag(self.covariance)[-count:]
+        prior = self.prior_sigma[-1] ** 2
+        # The prior weighs as much as two recordings.
+        return float(np.sqrt((2.0 * prior + np.sum(self.clock_offset_s**2 + own)) / (2.0 + count)))
+
+    def determined(self) -> BoolArray:
+        """(9,) bool: whether data, and not the prior, says what each of `PARAMETERS` is.
+
+        A parameter counts as determined where its standard deviation is less than 0.7 of what it
+        was before any data: an angle without a prior where it is known to 10 degrees, a position
+        where it is known to within a quarter of the camera's distance to what it saw.
+        """
+        sigma = np.sqrt(np.diag(self.covariance)[:_N])
+        prior = self.prior_sigma[:_N].copy()
+        prior[3] = np.radians(10.0) / _KNOWN_AT
+        prior[np.isinf(prior)] = 0.25 * self.typical_range_m / _KNOWN_AT
+        return np.asarray(sigma < _KNOWN_AT * prior)
+
+
+def fit_camera(
+    sightings: Sightings,
+    image_size_px: tuple[int, int],
+    *,
+    n_sources: int,
+    prior: CameraPrior | None = None,
+    noise: PixelNoise | None = None,
+    position_known: bool = True,
+    starts: int = 8,
+    seed: int = 0,
+) -> CameraFit:
+    """Fit the camera and the sources' biases to sightings.
+
+    Args:
+        sightings: At least three, not all in one place.
+        image_size_px: Width and height.
+        n_sources: How many sources of boxes there are.
+        prior: Beliefs about the camera; absent: those of an ordinary camera.
+        noise: Noise of a foot, taken as known; absent: estimated from the residuals.
+        position_known: Whether the origin of the plane is where the camera is said to stand.
+        starts: How many random starting cameras, the first at the prior's mean.
+        seed: Of the random starts.
+
+    Raises:
+        FitError: Too few sightings, all in one place, or no start that puts them before the camera.
+    """
+    _check_enough(sightings)
+    prior = prior or CameraPrior()
+    problem = _Problem(sightings, image_size_px, n_sources, prior, position_known)
+    found: list[tuple[float, FloatArray]] = []
+    assumed = noise or PixelNoise()
+    for start in problem.starts(max(starts, 1), np.random.default_rng(seed)):
+        solution = problem.solve(start, assumed.scaled(_WIDE), evaluations=50)
+        if solution is not None:
+            solution = problem.solve(solution[1], assumed, evaluations=50)
+        if solution is not None:
+            found.append(solution)
+    if not found:
+        raise FitError(
+            "no camera explains the boxes and fixes: from every start the targets lay behind the "
+            "camera; check the camera's position, the clock and the log"
+        )
+    found.sort(key=lambda pair: pair[0])
+    vector, estimated = found[0][1], assumed
+    for _ in range(1 if noise is not None else 5):
+        refined = problem.solve(vector, estimated, evaluations=200)
+        vector = refined[1] if refined else vector
+        if noise is None:
+            estimated = problem.estimate_noise(vector, estimated)
+    vector[3] = np.mod(vector[3], 2.0 * np.pi)
+    return problem.summarise(vector, estimated, [end for _, end in found], max(starts, 1))
+
+
+def _check_enough(sightings: Sightings) -> None:
+    if len(sightings) < 3:
+        raise FitError(
+            f"{len(sightings)} pairs of a box and a fix; a camera needs at least 3, better 30 "
+            "spread over the image"
+        )
+    spread_px = np.ptp(sightings.pixel_px, axis=0).max()
+    spread_m = max(np.ptp(sightings.east_m), np.ptp(sightings.north_m))
+    if spread_px < 1.0 or spread_m < 0.1:
+        raise FitError(
+            "all boxes or all fixes lie in one place; a camera cannot be learned from a target "
+            "that does not move: add a recording in which it crosses the image"
+        )
+
+
+class _Problem:
+    """Residuals and derivatives of one fit."""
+
+    def __init__(
+        self,
+        sightings: Sightings,
+        image_size_px: tuple[int, int],
+        n_sources: int,
+        prior: CameraPrior,
+        position_known: bool,
+    ) -> None:
+        self.sightings = sightings
+        self.image_size_px = image_size_px
+        self.n_sources = n_sources
+        self.prior = prior
+        self.position_known = position_known
+        moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
+        self.clock_groups = np.unique(sightings.group[moving])
+        self.clock = np.searchsorted(self.clock_groups, sightings.group)
+        self.moving = np.flatnonzero(moving)
+        self.mean, self.sigma = prior.moments(
+            image_size_px, n_sources, self.clock_groups.size, position_known=position_known
+        )
+        self.held = np.isfinite(self.sigma)
+        self.boxes = sightings.source != NO_SOURCE
+        self.centre = np.array([np.mean(sightings.east_m), np.mean(sightings.north_m)])
+        self.spread = float(
+            np.hypot(
+                np.std(sightings.east_m - self.centre[0]),
+                np.std(sightings.north_m - self.centre[1]),
+            )
+        )
+        self.scale = np.where(self.held, self.sigma, 1.0)
+        self.scale[3] = 0.3
+        if not position_known:
+            self.scale[7:9] = self.spread
+
+    def starts(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
+        """Cameras to start from: the prior's mean, then draws about it, all facing the targets."""
+        out = []
+        for i in range(count):
+            vector = self.mean.copy()
+            if i or not self.position_known:
+                vector[0] += rng.normal(0.0, 0.5)
+                vector[1] += rng.normal(0.0, np.radians(8.0))
+                vector[4] += rng.normal(0.0, 0.3)
+            if not self.position_known:
+                angle = 2.0 * np.pi * (i + rng.uniform()) / count
+                distance = self.spread * np.exp(rng.uniform(0.0, 1.6))
+                vector[7] = self.centre[0] + distance * np.sin(angle)
+                vector[8] = self.centre[1] + distance * np.cos(angle)
+            bearing = np.arctan2(
+                self.sightings.east_m - vector[7], self.sightings.north_m - vector[8]
+            )
+            across = np.arctan(
+                (self.sightings.pixel_px[:, 0] - 0.5 * self.image_size_px[0]) / np.exp(vector[4])
+            )
+            turn = bearing - across
+            vector[3] = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            out.append(vector)
+        return out
+
+    def project(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Expected pixels (N, 2), their derivatives by parameters and by the place."""
+        s = self.sightings
+        bias = vector[_N : _N + 2 * self.n_sources].reshape(-1, 2)
+        source = np.where(self.boxes, s.source, 0)
+        above = np.where(self.boxes, bias[source, 1], 0.0) if self.n_sources else 0.0
+        east, north = self.place(vector)
+        pixel, by_parameter, by_point = project_with_jacobian(
+            vector[:_N], self.image_size_px, east, north, above
+        )
+        jacobian = np.zeros((len(s), 2, vector.size))
+        jacobian[:, :, :_N] = by_parameter
+        if self.n_sources:
+            rows = np.flatnonzero(self.boxes)
+            pixel[rows, 1] += bias[source[rows], 0]
+            jacobian[rows, 1, _N + 2 * source[rows]] = 1.0
+            jacobian[rows[:, None], [[0, 1]], (_N + 2 * source[rows] + 1)[:, None]] = by_point[
+                rows, :, 2
+            ]
+        rows = self.moving
+        jacobian[rows, :, _N + 2 * self.n_sources + self.clock[rows]] = np.einsum(
+            "nij,nj->ni", by_point[rows, :, :2], s.velocity_mps[rows]
+        )
+        return pixel, jacobian, by_point
+
+    def place(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where the targets were, (N,) east and north, by clocks that agree with the log."""
+        s = self.sightings
+        if not self.moving.size:
+            return s.east_m, s.north_m
+        offset = np.zeros(len(s))
+        offset[self.moving] = vector[_N + 2 * self.n_sources + self.clock[self.moving]]
+        return s.east_m + offset * s.velocity_mps[:, 0], s.north_m + offset * s.velocity_mps[:, 1]
+
+    def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
+        """(N,) how large a metre at the sighting looks."""
+        s = self.sightings
+        slant = np.hypot(np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]))
+        return np.asarray(np.exp(vector[4]) / slant)
+
+    def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
+        """(N, 2) standard deviations of column and row, pixels.
+
+        A control point has the pixel part of a box's noise, and what its place is uncertain by.
+        """
+        size = np.where(self.boxes, self.pixels_per_metre(vector), 0.0)
+        _, _, by_point = self.project(vector)
+        place = np.hypot(by_point[:, :, 0], by_point[:, :, 1]) * self.sightings.sigma_m[:, None]
+        return np.hypot(np.stack(noise.sigmas_px(size), axis=1), place)
+
+    def solve(
+        self, start: FloatArray, noise: PixelNoise, evaluations: int
+    ) -> tuple[float, FloatArray] | None:
+        """The nearest minimum of the posterior: its cost and place, or None if none was found."""
+        sigma = self.sigmas(start, noise)
+        held = np.flatnonzero(self.held)
+        beliefs = np.zeros((held.size, start.size))
+        beliefs[np.arange(held.size), held] = 1.0 / self.sigma[held]
+        last: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+
+        def evaluate(vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            # The optimiser asks for residuals and for derivatives one after the other.
+            if not last or not np.array_equal(last[0][0], vector):
+                pixel, jacobian, _ = self.project(vector)
+                raw = ((self.sightings.pixel_px - pixel) / sigma).ravel()
+                size_of = np.abs(raw)
+                tail = size_of > _HUBER
+                root = np.sqrt(np.where(tail, 2.0 * _HUBER * size_of - _HUBER**2, 1.0))
+                residual = np.where(tail, np.sign(raw) * root, raw)
+                slope = np.where(tail, _HUBER / root, 1.0)
+                by_parameter = -(jacobian / sigma[:, :, None]).reshape(raw.size, -1)
+                last[:] = [
+                    (
+                        vector.copy(),
+                        np.concatenate([residual, beliefs @ (vector - self.mean)]),
+                        np.concatenate([by_parameter * slope[:, None], beliefs]),
+                    )
+                ]
+            return last[0]
+
+        if not np.isfinite(evaluate(start)[1]).all():
+            return None
+        solution = least_squares(
+            lambda vector: evaluate(vector)[1],
+            start,
+            jac=lambda vector: evaluate(vector)[2],
+            x_scale=self.scale,
+            max_nfev=evaluations,
+            xtol=1e-9,
+            ftol=1e-9,
+            gtol=1e-9,
+        )
+        return (float(solution.cost), solution.x) if self._ahead(solution.x) else None
+
+    def _ahead(self, vector: FloatArray) -> bool:
+        """Whether most sightings lie before the camera."""
+        s = self.sightings
+        forward = np.sin(vector[3]) * (s.east_m - vector[7]) + np.cos(vector[3]) * (
+            s.north_m - vector[8]
+        )
+        return bool(np.mean(forward > 0.0) > 0.5)
+
+    def estimate_noise(self, vector: FloatArray, before: PixelNoise) -> PixelNoise:
+        """The noise under which the residuals are likeliest, with a weak prior on each part."""
+        residual = self.sightings.pixel_px - self.project(vector)[0]
+        sigma = self.sigmas(vector, before)
+        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(residual / sigma), 1e-9))
+        n = len(self.sightings)
+        # The fit has used up some freedom; what is left is larger by this.
+        lost = 1.0 - min(0.5 * (_N - 1) / n, 0.5)
+        size = np.where(self.boxes, self.pixels_per_metre(vector), 0.0)
+
+        def likeliest(axis: int, centre: tuple[float, float]) -> tuple[float, float]:
+            squared = weight[:, axis] * residual[:, axis] ** 2 / lost
+
+            def negative_log(t: FloatArray) -> float:
+                variance = np.exp(2.0 * t[0]) + np.exp(2.0 * t[1]) * size**2
+                data = 0.5 * np.sum(squared / variance + np.log(variance))
+                beliefs = 0.5 * np.sum(((t - np.log(centre)) / (0.7, 1.0)) ** 2)
+                return float(data + beliefs)
+
+            best = minimize(negative_log, np.log(centre), method="L-BFGS-B")
+            return float(np.exp(best.x[0])), float(np.exp(best.x[1]))
+
+        column, row = likeliest(0, (2.0, 0.7)), likeliest(1, (1.0, 0.15))
+        return PixelNoise(row_px=row[0], row_m=row[1], column_px=column[0], column_m=column[1])
+
+    def summarise(
+        self, vector: FloatArray, noise: PixelNoise, ends: list[FloatArray], starts: int
+    ) -> CameraFit:
+        """The fit with its uncertainty, from the best camera and where the starts ended."""
+        pixel, jacobian, _ = self.project(vector)
+        sigma = self.sigmas(vector, noise)
+        residual = self.sightings.pixel_px - pixel
+        standard = residual / sigma
+        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
+        precision = np.where(self.held, self.sigma, np.inf) ** -2.0
+        # Errors of one recording are alike, so that it tells less than its number of boxes.
+        share = self._shared_error(standard[:, 1])
+        weight = weight / self._crowding(share)[:, None]
+        scaled = jacobian * (np.sqrt(weight) / sigma)[:, :, None]
+        flat = scaled.reshape(-1, vector.size)
+        covariance = np.linalg.pinv(flat.T @ flat + np.diag(precision), hermitian=True)
+        leverage = np.einsum("nij,jk,nik->n", scaled, covariance, scaled)
+        return CameraFit(
+            vector=vector,
+            covariance=covariance,
+            prior_sigma=self.sigma,
+            clock_groups=self.clock_groups,
+            noise=noise,
+            image_size_px=self.image_size_px,
+            residual_px=residual,
+            standard_residual=np.sqrt(np.mean(standard**2, axis=1)),
+            leverage=leverage,
+            outlier=np.asarray(np.abs(standard).max(axis=1) > _OUTLIER),
+            starts_agreeing=sum(self._same(end, vector, covariance) for end in ends),
+            starts=starts,
+            typical_range_m=float(
+                np.median(
+                    np.hypot(self.sightings.east_m - vector[7], self.sightings.north_m - vector[8])
+                )
+            ),
+        )
+
+    @staticmethod
+    def _same(one: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
+        """Whether two cameras differ by less than a standard deviation in every parameter."""
+        difference = one[:_N] - other[:_N]
+        difference[3] = np.arctan2(np.sin(difference[3]), np.cos(difference[3]))
+        return bool(np.all(np.abs(difference) < np.sqrt(np.diag(covariance)[:_N])))
+
+    def _shared_error(self, standard: FloatArray) -> float:
+        """The correlation of errors within a recording, 0 to 1 (one-way analysis of variance)."""
+        group = self.sightings.group
+        names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
+        if names.size < 2 or names.size == group.size:
+            return 0.0
+        clipped = np.clip(standard, -_OUTLIER, _OUTLIER)
+        means = np.bincount(inverse, clipped) / count
+        between = np.sum(count * (means - clipped.mean()) ** 2) / (names.size - 1)
+        within = np.sum((clipped - means[inverse]) ** 2) / (group.size - names.size)
+        typical = (group.size - np.sum(count**2) / group.size) / (names.size - 1)
+        shared = (between - within) / typical
+        return float(np.clip(shared / max(shared + within, 1e-12), 0.0, 1.0))
+
+    def _crowding(self, share: float) -> FloatArray:
+        """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share."""
+        _, inverse, count = np.unique(self.sightings.group, return_inverse=True, return_counts=True)
+        return np.asarray(1.0 + (count[inverse] - 1.0) * share)
