@@ -1,1 +1,20 @@
-"""A synthetic harbour whose truth is known."""
+"""A synthetic harbour whose truth is known: as numbers, as pictures, and as files."""
+
+from sightline.simulation.camera import SimulatedCamera
+from sightline.simulation.harbour import EXACT, BoxNoise, Harbour, ReceiverNoise, Truth
+from sightline.simulation.render import Look, Renderer
+from sightline.simulation.simulate import Recording, Simulation, simulate
+
+__all__ = [
+    "EXACT",
+    "BoxNoise",
+    "Harbour",
+    "Look",
+    "ReceiverNoise",
+    "Recording",
+    "Renderer",
+    "SimulatedCamera",
+    "Simulation",
+    "Truth",
+    "simulate",
+]

@@ -29,12 +29,22 @@ class Face:
     Attributes:
         corners_m: (K, 3) in boat axes.
         colour: As lit from straight ahead.
-        two_sided: Sails and railings are seen from behind too.
+        two_sided: Sails are seen from behind too.
+        hull: Whether it belongs to the hull, which everything else stands on.
     """
 
     corners_m: FloatArray
     colour: Colour
     two_sided: bool = False
+    hull: bool = False
+
+    @cached_property
+    def normal(self) -> FloatArray:
+        """(3,) unit vector that points out of the solid, in boat axes."""
+        # Newell's sum holds for any plane polygon, also where two corners fall together.
+        ahead = np.roll(self.corners_m, -1, axis=0)
+        normal = np.cross(self.corners_m, ahead).sum(axis=0)
+        return np.asarray(normal / np.linalg.norm(normal))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,11 +220,12 @@ def _hull(length: float, beam: float, freeboard: float, colour: Colour, deck: Co
     faces = []
     for i in range(5):
         quad = np.stack([low[i], low[i + 1], high[i + 1], high[i]])
-        faces.append(Face(quad, colour))
-        faces.append(Face((quad * mirror)[::-1], colour))
-    faces.append(Face(np.stack([low[0] * mirror, low[0], high[0], high[0] * mirror]), colour))
+        faces.append(Face(quad, colour, hull=True))
+        faces.append(Face((quad * mirror)[::-1], colour, hull=True))
+    transom = np.stack([low[0] * mirror, low[0], high[0], high[0] * mirror])
+    faces.append(Face(transom, colour, hull=True))
     outline = np.concatenate([high, (high * mirror)[-2::-1]])
-    faces.append(Face(outline, deck))
+    faces.append(Face(outline, deck, hull=True))
     return faces
 
 

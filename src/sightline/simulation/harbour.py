@@ -73,6 +73,7 @@ class ReceiverNoise:
         dropouts_per_minute: How often the receiver falls silent.
         dropout_s: Longest silence; they last from a third of it.
         clock_offset_s: Added to every time of the log.
+        whole_seconds: Whether it fixes on whole seconds only.
     """
 
     std_m: float = 1.5
@@ -82,6 +83,7 @@ class ReceiverNoise:
     dropouts_per_minute: float = 0.4
     dropout_s: float = 12.0
     clock_offset_s: float = 0.0
+    whole_seconds: bool = False
 
 
 EXACT = ReceiverNoise(std_m=0.0, interval_jitter=0.0, dropouts_per_minute=0.0)
@@ -427,7 +429,9 @@ class Harbour:
         count = int(np.ceil(self.duration_s / (noise.interval_s * (1.0 - noise.interval_jitter))))
         jitter = 1.0 + noise.interval_jitter * rng.uniform(-1.0, 1.0, count + 1)
         times = self.start_utc_s + np.append(0.0, np.cumsum(noise.interval_s * jitter))
-        times = times[times <= self.end_utc_s + 1e-9]
+        if noise.whole_seconds:
+            times = np.unique(np.round(times))
+        times = times[(times >= self.start_utc_s) & (times <= self.end_utc_s + 1e-9)]
         silences = rng.poisson(noise.dropouts_per_minute * self.duration_s / 60.0)
         keep = np.ones(times.size, dtype=bool)
         for _ in range(silences):
@@ -541,13 +545,13 @@ class _Builder:
 
     def gull(self, flies: bool) -> Gull:
         rng = self._rng
-        place = self._place((self._nearest_m, 150.0), 0.9)
+        radius = float(rng.uniform(10.0, 40.0)) if flies else 0.0
+        place = self._place((self._nearest_m + radius, 150.0), 0.9)
         centre = (float(place[0]), float(place[1]))
         phase = float(rng.uniform(0.0, 2.0 * np.pi))
         drift = (float(rng.normal(0.0, 0.25)), float(rng.normal(0.0, 0.25)))
         if not flies:
             return Gull(centre, 0.0, 0.0, 60.0, phase, (0.1 * drift[0], 0.1 * drift[1]), 0.45)
-        radius = float(rng.uniform(10.0, 40.0))
         return Gull(
             centre,
             radius,

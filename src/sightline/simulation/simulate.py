@@ -1,0 +1,471 @@
+"""A synthetic harbour on disk: videos, clocks, boxes, logs, the truth, and a scene of them all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
+from pathlib import Path
+from typing import Any, Literal
+
+import gpxpy.gpx
+import numpy as np
+from pyais import encode_dict
+
+from sightline.errors import InputError, unknown_name
+from sightline.formats.atomic import atomic_path
+from sightline.geodesy import LocalPlane
+from sightline.simulation.boats import Boat
+from sightline.simulation.camera import SimulatedCamera
+from sightline.simulation.harbour import (
+    DOCK,
+    START_UTC_S,
+    BoxNoise,
+    Harbour,
+    ReceiverNoise,
+)
+from sightline.simulation.render import Look, Renderer
+from sightline.simulation.scenery import Image
+from sightline.types import Boxes, Fixes, FloatArray, Frame
+from sightline.video import write_video
+
+ANNOTATOR = BoxNoise(std_px=1.0, correlation_time_s=0.0, source="annotator")
+"""Somebody who draws boxes with care."""
+
+DETECTOR = BoxNoise(
+    std_px=1.5,
+    correlation_time_s=0.8,
+    lower_edge_bias_px=-1.5,
+    miss_probability=0.08,
+    source="simulated",
+)
+"""A detector: errors that last for most of a second, boxes that end too high, misses."""
+
+AIS_TRANSPONDER = ReceiverNoise(
+    std_m=2.0, interval_s=4.0, interval_jitter=0.4, dropouts_per_minute=0.1, whole_seconds=True
+)
+"""A class B transponder nearby: a whole second every few seconds."""
+
+CLOCK_STEP_S = 5.0
+"""How often a ``"stepped"`` clock is read."""
+
+_FIRST_MMSI = 211_000_001
+_RATE_JITTER = 0.15
+_LOST_FRAMES = 0.004
+_MICROSECONDS = 1e6
+
+ClockKind = Literal["start", "exact", "stepped"]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One video of a simulation.
+
+    Attributes:
+        name: As in the scene.
+        time_utc_s: (N,) POSIX seconds, the true time of every frame.
+    """
+
+    name: str
+    time_utc_s: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What `simulate` wrote.
+
+    Attributes:
+        scene: The scene file.
+        harbour: The world behind it.
+        recordings: The true times of all frames.
+    """
+
+    scene: Path
+    harbour: Harbour
+    recordings: tuple[Recording, ...]
+
+
+def simulate(
+    directory: str | os.PathLike[str],
+    *,
+    seed: int = 0,
+    recordings: int = 3,
+    duration_s: float = 60.0,
+    pause_s: float = 15.0,
+    rate_hz: float = 12.0,
+    image_size_px: tuple[int, int] = (1280, 720),
+    camera: SimulatedCamera | None = None,
+    plane: LocalPlane = DOCK,
+    start_utc_s: float = START_UTC_S,
+    clock: ClockKind = "start",
+    annotation_interval_s: float = 0.5,
+    annotator: BoxNoise = ANNOTATOR,
+    detector: BoxNoise = DETECTOR,
+    receiver: ReceiverNoise | None = None,
+    look: Look | None = None,
+    video: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> Simulation:
+    """Write a synthetic harbour as somebody with a camera on a dock would have recorded it.
+
+    ======================  =======================================================================
+    ``scene.toml``          ties it together
+    ``01.mp4``, ...         the videos; frames are irregular in time, and some are lost
+    ``clock/01.csv``        ``frame,utc``, with ``clock`` ``"exact"`` or ``"stepped"``
+    ``boxes/01.csv``        the target's boxes, as an annotator drew them
+    ``detections/01.csv``   all boats' boxes, as a detector saw them
+    ``target.gpx``          the target's log
+    ``ais.nmea``            what the target and the ferries broadcast
+    ``truth.csv``           where every boat was at every frame
+    ``truth.json``          the camera, and how everything was drawn
+    ``truth-boxes/01.csv``  the exact boxes of all boats, ``track_id`` the boat
+    ======================  =======================================================================
+
+    Args:
+        directory: Where to; made if it is not there.
+        seed: The same seed and settings give the same files.
+        recordings: How many videos.
+        duration_s: Of each.
+        pause_s: Between two.
+        rate_hz: Mean frames a second.
+        image_size_px: Of a random camera; even numbers.
+        camera: Absent: a random one.
+        plane: Where the camera stands.
+        start_utc_s: POSIX seconds of the first video, whole.
+        clock: How the scene tells the times: ``"start"`` of each video plus its presentation
+            times; an ``"exact"`` table; or a table ``"stepped"`` every `CLOCK_STEP_S`.
+        annotation_interval_s: Time between two boxes of the annotator.
+        annotator: Noise of the boxes.
+        detector: Noise of the detections.
+        receiver: Noise of the target's log; absent: 1.5 m, a fix a second, some dropouts.
+        look: What is drawn.
+        video: Whether to render at all; the rest is done in a second.
+        progress: Called with the share done, 0 to 1.
+
+    Raises:
+        InputError: A setting is out of its range, or a file cannot be written.
+    """
+    kinds: tuple[ClockKind, ...] = ("start", "exact", "stepped")
+    if clock not in kinds:
+        raise unknown_name("clock", clock, kinds)
+    size = image_size_px if camera is None else camera.image_size_px
+    _check(recordings, duration_s, rate_hz, size)
+    folder = Path(directory)
+    # A log that begins before the video and ends after it leaves no frame without a place.
+    lead_s = 2.0
+    harbour = Harbour.random(
+        seed,
+        duration_s=recordings * duration_s + (recordings - 1) * pause_s + 2.0 * lead_s,
+        camera=camera,
+        image_size_px=image_size_px,
+        plane=plane,
+        start_utc_s=start_utc_s - lead_s,
+    )
+    rng = np.random.default_rng([seed, 5])
+    shot = []
+    for i in range(recordings):
+        begin = start_utc_s + round(i * (duration_s + pause_s))
+        times = begin + _frame_times(rng, duration_s, rate_hz)
+        shot.append(Recording(f"{i + 1:02d}", times))
+
+    for i, recording in enumerate(shot):
+        _write_tables(
+            folder, harbour, recording, clock, i, annotation_interval_s, annotator, detector
+        )
+    noise = receiver if receiver is not None else ReceiverNoise()
+    _write_gpx(folder / "target.gpx", harbour.fixes(noise))
+    talkers = [boat for boat in harbour.boats if boat.shape.kind == "ferry"]
+    _write_ais(folder / "ais.nmea", harbour, [harbour.target, *talkers])
+    settings = {
+        "seed": seed,
+        "clock": clock,
+        "annotator": asdict(annotator),
+        "detector": asdict(detector),
+        "receiver": asdict(noise),
+    }
+    _write_truth(folder, harbour, shot, settings)
+    if video:
+        _write_videos(folder, harbour, shot, look, progress)
+    _write_text(folder / "scene.toml", _scene(harbour, shot, clock, video))
+    return Simulation(folder / "scene.toml", harbour, tuple(shot))
+
+
+def _check(
+    recordings: int, duration_s: float, rate_hz: float, image_size_px: tuple[int, int]
+) -> None:
+    if recordings < 1:
+        raise InputError(f"{recordings} recordings were asked for; at least one is needed")
+    if not duration_s >= 1.0:
+        raise InputError(f"a recording of {duration_s:g} s is too short; at least 1 s is needed")
+    if not 0.5 <= rate_hz <= 120.0:
+        raise InputError(f"{rate_hz:g} frames a second are not between 0.5 and 120")
+    if any(side % 2 or not 64 <= side <= 7680 for side in image_size_px):
+        raise InputError(
+            f"an image of {image_size_px[0]} x {image_size_px[1]} px cannot be encoded; "
+            "width and height must be even, and 64 to 7680"
+        )
+
+
+def _frame_times(rng: np.random.Generator, duration_s: float, rate_hz: float) -> FloatArray:
+    """(N,) seconds from 0: no two intervals alike, now and then a frame lost."""
+    count = int(np.ceil(duration_s * rate_hz / (1.0 - _RATE_JITTER)))
+    intervals = (1.0 + _RATE_JITTER * rng.uniform(-1.0, 1.0, count)) / rate_hz
+    times = np.append(0.0, np.cumsum(intervals))
+    kept = rng.random(times.size) >= _LOST_FRAMES
+    kept[0] = True
+    times = times[kept & (times < duration_s)]
+    # Presentation times are kept in microseconds.
+    return np.asarray(np.round(times * _MICROSECONDS) / _MICROSECONDS)
+
+
+def _write_tables(
+    folder: Path,
+    harbour: Harbour,
+    recording: Recording,
+    clock: ClockKind,
+    seed: int,
+    annotation_interval_s: float,
+    annotator: BoxNoise,
+    detector: BoxNoise,
+) -> None:
+    name, times = recording.name, recording.time_utc_s
+    if clock != "start":
+        rng = np.random.default_rng([harbour.seed, 6, seed])
+        stamps = _iso(times) if clock == "exact" else _stepped(rng, times)
+        _write_rows(folder / "clock" / f"{name}.csv", ("frame", "utc"), enumerate(stamps))
+    looked_at = np.unique(
+        np.searchsorted(times, np.arange(times[0], times[-1], annotation_interval_s))
+    )
+    drawn = harbour.boxes(times[looked_at], noise=annotator, frame=looked_at, seed=2 * seed)
+    _write_boxes(folder / "boxes" / f"{name}.csv", drawn, annotator=True)
+    seen = harbour.boxes(times, noise=detector, of="all", seed=2 * seed + 1)
+    rng = np.random.default_rng([harbour.seed, 7, seed])
+    seen = seen.with_columns(confidence=rng.beta(8.0, 2.0, len(seen)))
+    _write_boxes(folder / "detections" / f"{name}.csv", seen, label=True)
+    exact = harbour.boxes(times, of="all")
+    _write_boxes(folder / "truth-boxes" / f"{name}.csv", exact, label=True, track=True)
+
+
+def _stepped(rng: np.random.Generator, times: FloatArray) -> list[str]:
+    """A clock that a timer reads every few seconds, cut off to the second."""
+    phase = float(rng.uniform(0.0, CLOCK_STEP_S))
+    since = times[0] - phase
+    last_read = since + CLOCK_STEP_S * np.floor((times - since) / CLOCK_STEP_S)
+    return [
+        datetime.fromtimestamp(int(second), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        for second in np.floor(last_read)
+    ]
+
+
+def _write_boxes(
+    path: Path,
+    boxes: Boxes,
+    *,
+    annotator: bool = False,
+    label: bool = False,
+    track: bool = False,
+) -> None:
+    header = ["frame", "x1", "y1", "x2", "y2"]
+    columns: list[list[Any]] = [
+        boxes.frame.tolist(),
+        *(np.round(boxes.xyxy_px[:, i], 2).tolist() for i in range(4)),
+    ]
+    if label and not track:
+        header.append("confidence")
+        columns.append(np.round(boxes.confidence, 3).tolist())
+    if annotator:
+        header.append("annotator")
+        columns.append(boxes.source.tolist())
+    if track:
+        header.append("track_id")
+        columns.append(boxes.track_id.tolist())
+    if label:
+        header.append("label")
+        columns.append(boxes.label.tolist())
+    _write_rows(path, header, zip(*columns, strict=True))
+
+
+def _write_gpx(path: Path, fixes: Fixes) -> None:
+    gpx = gpxpy.gpx.GPX()
+    gpx.creator = "sightline simulate"
+    segment = gpxpy.gpx.GPXTrackSegment(
+        [
+            gpxpy.gpx.GPXTrackPoint(round(latitude, 9), round(longitude, 9), time=_utc(time_s))
+            for time_s, latitude, longitude in zip(
+                fixes.time_utc_s.tolist(),
+                fixes.latitude_deg.tolist(),
+                fixes.longitude_deg.tolist(),
+                strict=True,
+            )
+        ]
+    )
+    track = gpxpy.gpx.GPXTrack(name=fixes.name)
+    track.segments.append(segment)
+    gpx.tracks.append(track)
+    _write_text(path, gpx.to_xml(version="1.1"))
+
+
+def _write_ais(path: Path, harbour: Harbour, boats: list[Boat]) -> None:
+    lines = []
+    for boat in boats:
+        fixes = harbour.fixes(AIS_TRANSPONDER, boat=boat, seed=1)
+        truth = harbour.truth(fixes.time_utc_s, [boat])
+        for i, time_s in enumerate(fixes.time_utc_s.tolist()):
+            report = {
+                "type": 18,
+                "mmsi": _FIRST_MMSI + boat.identity - 1,
+                "lat": fixes.latitude_deg[i],
+                "lon": fixes.longitude_deg[i],
+                "speed": round(float(truth.speed_mps[i]) * 3600.0 / 1852.0, 1),
+                "course": round(float(truth.course_deg[i]), 1) % 360.0,
+                "heading": 511,
+                "second": int(time_s) % 60,
+                "accuracy": 1,
+            }
+            sentence = encode_dict(report, talker_id="AI", sentence_type="VDM")[0]
+            tag = f"s:sightline,c:{int(time_s)}"
+            lines.append((time_s, f"\\{tag}*{reduce(xor, tag.encode()):02X}\\{sentence}\n"))
+    _write_text(path, "".join(line for _, line in sorted(lines)))
+
+
+def _write_truth(
+    folder: Path, harbour: Harbour, shot: list[Recording], settings: dict[str, Any]
+) -> None:
+    times = np.concatenate([recording.time_utc_s for recording in shot])
+    truth = harbour.truth(times, harbour.boats)
+    order = np.argsort(truth.time_utc_s, kind="stable")
+    _write_rows(
+        folder / "truth.csv",
+        (
+            "time_utc",
+            "target",
+            "name",
+            "latitude_deg",
+            "longitude_deg",
+            "east_m",
+            "north_m",
+            "speed_mps",
+            "course_deg",
+        ),
+        zip(
+            _iso(truth.time_utc_s[order]),
+            truth.boat[order].tolist(),
+            truth.name[order].tolist(),
+            np.round(truth.latitude_deg[order], 9).tolist(),
+            np.round(truth.longitude_deg[order], 9).tolist(),
+            np.round(truth.east_m[order], 4).tolist(),
+            np.round(truth.north_m[order], 4).tolist(),
+            np.round(truth.speed_mps[order], 4).tolist(),
+            np.round(truth.course_deg[order], 3).tolist(),
+            strict=True,
+        ),
+    )
+    boats = [
+        {
+            "target": boat.identity,
+            "name": boat.name,
+            "kind": boat.shape.kind,
+            "length_m": round(boat.shape.length_m, 2),
+            "beam_m": round(boat.shape.beam_m, 2),
+        }
+        for boat in harbour.boats
+    ]
+    camera = {
+        "latitude_deg": harbour.plane.latitude_deg,
+        "longitude_deg": harbour.plane.longitude_deg,
+        **asdict(harbour.camera),
+    }
+    facts = {"camera": camera, "boats": boats, "settings": settings}
+    _write_text(folder / "truth.json", json.dumps(facts, indent=2) + "\n")
+
+
+def _write_videos(
+    folder: Path,
+    harbour: Harbour,
+    shot: list[Recording],
+    look: Look | None,
+    progress: Callable[[float], None] | None,
+) -> None:
+    renderer = Renderer(harbour, look)
+    total = sum(recording.time_utc_s.size for recording in shot)
+    done = 0
+    for recording in shot:
+
+        def frames(times: FloatArray = recording.time_utc_s) -> Iterator[Frame]:
+            nonlocal done
+            for index, image in enumerate(_ahead(renderer.image, times)):
+                yield Frame(index, float(times[index]), image)
+                done += 1
+                if progress is not None:
+                    progress(done / total)
+
+        # Nobody keeps these for long: time matters more than the size of the files.
+        write_video(folder / f"{recording.name}.mp4", frames(), preset="ultrafast")
+
+
+def _ahead(paint: Callable[[float], Image], times: FloatArray, depth: int = 4) -> Iterator[Image]:
+    """Pictures in order, a few painted ahead while the ones before them are encoded."""
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        waiting: deque[Future[Image]] = deque()
+        for time_s in times.tolist():
+            waiting.append(pool.submit(paint, time_s))
+            if len(waiting) > depth:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def _scene(harbour: Harbour, shot: list[Recording], clock: ClockKind, video: bool) -> str:
+    width, height = harbour.camera.image_size_px
+    lines = [
+        f"# A synthetic harbour, seed {harbour.seed}. The truth lies in truth.json and truth.csv.",
+        "[camera]",
+        'name = "synthetic-harbour"',
+        f"latitude_deg = {harbour.plane.latitude_deg!r}",
+        f"longitude_deg = {harbour.plane.longitude_deg!r}",
+        f"image_size_px = [{width}, {height}]",
+    ]
+    for recording in shot:
+        name = recording.name
+        lines += ["", "[[recordings]]", f'name = "{name}"']
+        if video:
+            lines.append(f'video = "{name}.mp4"')
+        if clock == "start":
+            lines.append(f"start_utc = {_iso(recording.time_utc_s[:1])[0]}")
+        else:
+            lines.append(f'clock = "clock/{name}.csv"')
+        lines += [
+            f'boxes = "boxes/{name}.csv"',
+            f'detections = "detections/{name}.csv"',
+            'fixes = "target.gpx"',
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _utc(time_s: float) -> datetime:
+    return datetime.fromtimestamp(round(time_s, 3), UTC)
+
+
+def _iso(times: FloatArray) -> list[str]:
+    """RFC 3339 in microseconds."""
+    micro = np.round(times * _MICROSECONDS).astype(np.int64).astype("datetime64[us]")
+    return [f"{text}Z" for text in np.datetime_as_string(micro, unit="us")]
+
+
+def _write_rows(path: Path, header: Any, rows: Any) -> None:
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+
+
+def _write_text(path: Path, text: str) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
