@@ -43,6 +43,7 @@ __all__ = [
     "read_control_points",
     "read_fixes",
     "read_tracks",
+    "track_table",
     "track_writer",
     "write_boxes",
     "write_fixes",
@@ -209,6 +210,16 @@ def write_tracks(tracks: Iterable[Track], path: str | os.PathLike[str]) -> None:
     with track_writer(path) as writer:
         for track in tracks:
             writer.add(track)
+
+
+def track_table(tracks: Iterable[Track]) -> pd.DataFrame:
+    """Tracks as one table, a row a point: the columns of the CSV, Parquet and GeoPackage files.
+
+    ``time_utc`` is a time stamp in UTC, in milliseconds; ``kind`` is measured, interpolated or
+    extrapolated; the ellipse holds the true position with 95 %.
+    """
+    tables = [_track_table.table(track) for track in tracks if len(track)]
+    return pd.concat(tables or [_track_table.empty()], ignore_index=True)
 
 
 def read_tracks(

@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.types import BoolArray, Fixes, FloatArray, from_datetime64, to_datetime64
+from sightline.types import BoolArray, Fixes, FloatArray, from_datetime64
 
 _SNIFFED_BYTES = 65536
 
@@ -87,8 +87,6 @@ def table(
             skip_blank_lines=False,
             encoding="utf-8-sig",
             dtype=dict.fromkeys(text, str),
-            keep_default_na=True,
-            float_precision="round_trip",
             low_memory=False,
         )
         with reader:
@@ -237,8 +235,11 @@ def fixes(
     return Fixes(when, latitude, longitude, name=name)
 
 
+def milliseconds(time_utc_s: Any) -> NDArray[np.datetime64]:
+    """POSIX seconds, rounded, as ``datetime64[ms]``."""
+    return np.round(np.asarray(time_utc_s, dtype=float) * 1000.0).astype("datetime64[ms]")
+
+
 def rfc3339(time_utc_s: Any) -> Any:
     """POSIX seconds as RFC 3339 text with milliseconds and ``Z``; (N,) gives (N,) str."""
-    milliseconds = np.round(np.asarray(time_utc_s, dtype=np.float64) * 1000.0) / 1000.0
-    text = np.datetime_as_string(to_datetime64(milliseconds).astype("datetime64[ns]"), unit="ms")
-    return np.char.add(text, "Z")
+    return np.char.add(np.datetime_as_string(milliseconds(time_utc_s)), "Z")

@@ -16,7 +16,6 @@ from sightline.types import (
     Track,
     ellipses,
     from_datetime64,
-    to_datetime64,
 )
 
 KINDS = tuple(kind.name.lower() for kind in PointKind)
@@ -42,10 +41,9 @@ def table(track: Track) -> pd.DataFrame:
     `KINDS`; the ellipse holds the true position with 95 %.
     """
     ellipse = ellipses(track.covariance_m2, _PROBABILITY)
-    milliseconds = np.round(track.time_utc_s * 1000.0) / 1000.0
     columns: dict[str, object] = {
         "track_id": np.full(len(track), track.track_id, dtype=np.int64),
-        "time_utc": pd.DatetimeIndex(to_datetime64(milliseconds)).as_unit("ms").tz_localize("UTC"),
+        "time_utc": pd.DatetimeIndex(_files.milliseconds(track.time_utc_s), tz="UTC"),
         "latitude_deg": np.round(track.latitude_deg, 9),
         "longitude_deg": np.round(track.longitude_deg, 9),
         "speed_mps": np.round(track.speed_mps, 6),

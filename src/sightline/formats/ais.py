@@ -177,7 +177,7 @@ def _reception_s(text: str, match: re.Match[str]) -> float | None:
 
 def _seconds(digits: str) -> float:
     """POSIX seconds, from seconds or milliseconds."""
-    return float(digits) / 1000.0 if len(digits) == 13 else float(digits)
+    return int(digits) / 1000.0 if digits.isdigit() and len(digits) == 13 else float(digits)
 
 
 def _refined_s(reception_s: float, second: int) -> float:
