@@ -48,7 +48,10 @@ def _from_otvision(path: str | os.PathLike[str]) -> ControlPoints:
                 f"{path}: point {name} is incomplete; expected {', '.join(_OTVISION)} (numbers) "
                 "and hemisphere"
             ) from error
-        latitude, longitude = from_utm(easting, northing, int(zone), north=north)
+        try:
+            latitude, longitude = from_utm(easting, northing, int(zone), north=north)
+        except InputError as error:
+            raise InputError(f"{path}: point {name}: {error}") from error
         pixels.append((x, y))
         latitudes.append(float(latitude))
         longitudes.append(float(longitude))

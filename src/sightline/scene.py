@@ -1,0 +1,487 @@
+"""The scene file: which camera, which recordings, which logs.
+
+TOML, with paths relative to the file. The whole of it is checked when it is loaded, the files
+that it names are opened when they are asked for.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from sightline import formats, video
+from sightline.clock import Clock, presentation_clock
+from sightline.errors import InputError, unknown_name
+from sightline.geodesy import LocalPlane
+from sightline.types import NO_FRAME, Boxes, ControlPoints, Fixes, FloatArray, Frame
+
+Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
+Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
+Pixels = Annotated[int, Field(gt=0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _CameraTable(_Table):
+    name: str = ""
+    latitude_deg: Latitude | None = None
+    longitude_deg: Longitude | None = None
+    image_size_px: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None
+
+    @model_validator(mode="after")
+    def _whole_place(self) -> Self:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError("give both latitude_deg and longitude_deg, or neither")
+        return self
+
+
+class _RecordingTable(_Table):
+    name: Annotated[str, Field(min_length=1)]
+    video: str | None = None
+    frames: str | None = None
+    start_utc: datetime | None = None
+    clock: str | None = None
+    boxes: str | None = None
+    detections: str | None = None
+    fixes: str | None = None
+    mmsi: int | None = None
+
+    @field_validator("start_utc", mode="before")
+    @classmethod
+    def _moment(cls, value: Any) -> Any:
+        if isinstance(value, str):
+            return datetime.fromisoformat(value)
+        return value
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        for one, other in (("video", "frames"), ("start_utc", "clock")):
+            if getattr(self, one) is not None and getattr(self, other) is not None:
+                raise ValueError(f"give {one} or {other}, not both")
+        if self.start_utc is not None and self.video is None:
+            raise ValueError(
+                "start_utc tells the times of a video's frames; without a video give a clock"
+            )
+        if self.mmsi is not None and self.fixes is None:
+            raise ValueError("mmsi chooses a vessel of the log that fixes names; give fixes")
+        if self.frames is None and self.video is None and not (self.boxes or self.detections):
+            raise ValueError("give a video, frames, boxes or detections; there is nothing to see")
+        return self
+
+
+class _PointTable(_Table):
+    pixel_px: Annotated[list[float], Field(min_length=2, max_length=2)]
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+
+
+class _SceneTable(_Table):
+    camera: _CameraTable = _CameraTable()
+    recordings: list[_RecordingTable] = []
+    control_points: list[_PointTable] | str = []
+
+    @model_validator(mode="after")
+    def _something_to_learn_from(self) -> Self:
+        if not self.recordings and not self.control_points:
+            raise ValueError("give [[recordings]] or [[control_points]]; the scene is empty")
+        return self
+
+
+_TABLES: dict[str, type[_Table]] = {
+    "": _SceneTable,
+    "camera": _CameraTable,
+    "recordings": _RecordingTable,
+    "control_points": _PointTable,
+}
+
+
+@dataclass(frozen=True)
+class CameraSite:
+    """Where the camera stands, as far as it is known, and the size of its picture.
+
+    Attributes:
+        name: Of the camera, or ``""``.
+        latitude_deg: Degrees north; None if it is not known.
+        longitude_deg: Degrees east; None if it is not known.
+        image_size_px: Width and height; None where the scene file leaves that to the video.
+    """
+
+    name: str = ""
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    image_size_px: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording of the camera, and what belongs to it. Files are read when asked for.
+
+    Attributes:
+        name: Unique in its scene.
+        video_path: A video file, or None.
+        frames_path: A folder of pictures, or None.
+        start_utc_s: POSIX seconds of the video's first frame, or None.
+        clock_path: A table ``frame,utc``, or None.
+        boxes_path: Boxes of the target that was logged, or None.
+        detections_path: Boxes of anything, or None.
+        fixes_path: The log of the target, or None.
+        mmsi: Which vessel of an AIS log, or None.
+        image_size_px: Width and height of the picture where the scene file says it, or None.
+    """
+
+    name: str
+    video_path: Path | None = None
+    frames_path: Path | None = None
+    start_utc_s: float | None = None
+    clock_path: Path | None = None
+    boxes_path: Path | None = None
+    detections_path: Path | None = None
+    fixes_path: Path | None = None
+    mmsi: int | None = None
+    image_size_px: tuple[int, int] | None = None
+
+    @property
+    def source(self) -> Path | None:
+        """The video or the folder of pictures; None where boxes stand alone."""
+        return self.video_path if self.video_path is not None else self.frames_path
+
+    def clock(self) -> Clock:
+        """The time of each frame: from the clock's table, or from the video and its start.
+
+        Without a start, a video's own creation time is taken for it.
+
+        Raises:
+            InputError: There is neither, or a file cannot be used.
+        """
+        if self.clock_path is not None:
+            return _clock(self.clock_path, self.clock_path.stat().st_mtime_ns)
+        if self.video_path is not None:
+            info = _video_info(self.video_path, self.video_path.stat().st_mtime_ns)
+            start_s = self.start_utc_s if self.start_utc_s is not None else info.creation_utc_s
+            if start_s is not None:
+                return presentation_clock(start_s, info.presentation_s)
+        raise InputError(
+            f"recording {self.name}: nothing tells the times of its frames; give start_utc (with "
+            "a video), clock (a table frame,utc), or time_utc with the boxes"
+        )
+
+    def boxes(self) -> Boxes:
+        """The boxes of the target that was logged, with their times.
+
+        Raises:
+            InputError: The recording has none, they cannot be used, lie wholly outside the
+                picture, or have no times.
+        """
+        if self.boxes_path is None:
+            raise InputError(f"recording {self.name}: has no boxes; give boxes = FILE")
+        return self._timed(formats.read_boxes(self.boxes_path), self.boxes_path)
+
+    def detections(self) -> Boxes:
+        """The boxes of anything, with their times.
+
+        Boxes without an annotator get the file's name, less its ending, for their source. Boxes
+        without width or height, which some detectors put out, are left out.
+
+        Raises:
+            InputError: As `boxes`.
+        """
+        if self.detections_path is None:
+            raise InputError(f"recording {self.name}: has no detections; give detections = FILE")
+        path = self.detections_path
+        return self._timed(formats.read_boxes(path, source=path.stem, skip_empty=True), path)
+
+    def fixes(self) -> Fixes:
+        """The log of the target.
+
+        Raises:
+            InputError: The recording has none, or it cannot be used.
+        """
+        if self.fixes_path is None:
+            raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
+        return _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+
+    def frames(self) -> Iterator[Frame]:
+        """The pictures, one at a time, with their times; NaN where nothing tells them.
+
+        Raises:
+            InputError: The recording has none, or they cannot be read.
+        """
+        if self.source is None:
+            raise InputError(f"recording {self.name}: has no pictures; give video or frames")
+        if self.clock_path is not None:
+            return video.frames(self.source, clock=self.clock())
+        return video.frames(self.source, start_utc_s=self.start_utc_s)
+
+    def _timed(self, boxes: Boxes, path: Path) -> Boxes:
+        _check_inside(boxes, self.image_size_px, path)
+        unknown = ~np.isfinite(boxes.time_utc_s)
+        if not unknown.any():
+            return boxes
+        time_utc_s = boxes.time_utc_s.copy()
+        try:
+            time_utc_s[unknown] = self.clock().time_utc_s(boxes.frame[unknown])
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        return boxes.with_columns(time_utc_s=time_utc_s)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A camera and what it recorded.
+
+    Attributes:
+        camera: Where it stands.
+        recordings: In the order of the file.
+        control_points: Pixels whose place is known; may be none.
+        path: The scene file.
+    """
+
+    camera: CameraSite
+    recordings: tuple[Recording, ...]
+    control_points: ControlPoints
+    path: Path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Scene:
+        """Read a scene file.
+
+        Raises:
+            InputError: The file is missing or no TOML, a key is unknown or has a value that it
+                cannot have, a name comes twice, or a file that it names is missing.
+        """
+        table = _parse(Path(path))
+        base = Path(path).parent
+        size = table.camera.image_size_px
+        camera = CameraSite(
+            name=table.camera.name,
+            latitude_deg=table.camera.latitude_deg,
+            longitude_deg=table.camera.longitude_deg,
+            image_size_px=(size[0], size[1]) if size else None,
+        )
+        names = [recording.name for recording in table.recordings]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"{path}: two recordings are named {name!r}; names must differ")
+        return cls(
+            camera=camera,
+            recordings=tuple(
+                _recording(Path(path), base, i, recording, camera.image_size_px)
+                for i, recording in enumerate(table.recordings)
+            ),
+            control_points=_control_points(Path(path), base, table.control_points),
+            path=Path(path),
+        )
+
+    @property
+    def plane(self) -> LocalPlane | None:
+        """The plane whose origin is the camera; None where its place is not known."""
+        if self.camera.latitude_deg is None or self.camera.longitude_deg is None:
+            return None
+        return LocalPlane(self.camera.latitude_deg, self.camera.longitude_deg)
+
+    @property
+    def image_size_px(self) -> tuple[int, int]:
+        """Width and height of the picture: as the scene file says, or of the first frame.
+
+        Raises:
+            InputError: Neither tells.
+        """
+        if self.camera.image_size_px is not None:
+            return self.camera.image_size_px
+        for recording in self.recordings:
+            if recording.source is not None:
+                return video.image_size_px(recording.source)
+        raise InputError(
+            f"{self.path}: nothing tells the size of the picture; give [camera] image_size_px = "
+            "[WIDTH, HEIGHT]"
+        )
+
+    def __getitem__(self, name: str) -> Recording:
+        """The recording of a name.
+
+        Raises:
+            InputError: There is none; lists the names that there are.
+        """
+        for recording in self.recordings:
+            if recording.name == name:
+                return recording
+        raise unknown_name("recording", name, [recording.name for recording in self.recordings])
+
+    def select(self, names: Iterable[str]) -> Scene:
+        """The scene with only the recordings of these names, in the order of the scene.
+
+        Raises:
+            InputError: A name is unknown.
+        """
+        chosen = {self[name].name for name in names}
+        return replace(self, recordings=tuple(one for one in self.recordings if one.name in chosen))
+
+    def without(self, names: Iterable[str]) -> Scene:
+        """The scene without the recordings of these names.
+
+        Raises:
+            InputError: A name is unknown.
+        """
+        left_out = {self[name].name for name in names}
+        return replace(
+            self, recordings=tuple(one for one in self.recordings if one.name not in left_out)
+        )
+
+
+def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
+    """Refuse a log that has nothing to do with a recording.
+
+    Args:
+        time_utc_s: (N,) POSIX seconds of the recording's boxes or frames.
+        fixes: The log.
+        where: Which recording, for the message.
+
+    Raises:
+        InputError: No time lies between the first and the last fix; states both spans.
+    """
+    known = time_utc_s[np.isfinite(time_utc_s)]
+    if known.size and len(fixes):
+        first, last = fixes.time_utc_s[[0, -1]]
+        if ((known >= first) & (known <= last)).any():
+            return
+        raise InputError(
+            f"{where}: its log does not overlap it; the recording runs from "
+            f"{_utc(known.min())} to {_utc(known.max())}, the log from {_utc(first)} to "
+            f"{_utc(last)} (UTC)"
+        )
+    raise InputError(f"{where}: has no times or an empty log")
+
+
+def _utc(time_utc_s: float) -> str:
+    return datetime.fromtimestamp(float(time_utc_s), UTC).strftime("%Y-%m-%d %H:%M:%S")
+
+
+# Recordings share their logs, which are long.
+@lru_cache(maxsize=32)
+def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
+    return formats.read_fixes(path, mmsi=mmsi)
+
+
+@lru_cache(maxsize=128)
+def _clock(path: Path, _modified_ns: int) -> Clock:
+    return formats.read_clock(path)
+
+
+@lru_cache(maxsize=128)
+def _video_info(path: Path, _modified_ns: int) -> video.VideoInfo:
+    return video.video_info(path)
+
+
+def _check_inside(boxes: Boxes, size_px: tuple[int, int] | None, path: Path) -> None:
+    if size_px is None or not len(boxes):
+        return
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    outside = (x2 <= 0.0) | (y2 <= 0.0) | (x1 >= size_px[0]) | (y1 >= size_px[1])
+    if outside.any():
+        i = int(np.argmax(outside))
+        box = ",".join(f"{value:g}" for value in boxes.xyxy_px[i])
+        frame = f" of frame {boxes.frame[i]}" if boxes.frame[i] != NO_FRAME else ""
+        raise InputError(
+            f"{path}: box {i + 1}{frame} ({box}) lies wholly outside the picture of "
+            f"{size_px[0]} x {size_px[1]} px; was it drawn in a picture of another size?"
+        )
+
+
+def _parse(path: Path) -> _SceneTable:
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; expected a scene file, as {path / 'scene.toml'}")
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such scene file") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text in UTF-8, so it is no scene file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: is no TOML: {error}") from error
+    try:
+        return _SceneTable.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error)}") from error
+
+
+def _first_problem(error: ValidationError) -> str:
+    """The first problem of a validation in one line: the key's path, and what mends it."""
+    # An unknown key is often why another is missing, so it goes first.
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    problem = problems[0]
+    # The names of the alternatives of a union are no keys.
+    steps = [step for step in problem["loc"] if step not in ("str", "list[_PointTable]")]
+    where = ""
+    for step in steps:
+        where += f"[{step + 1}]" if isinstance(step, int) else f".{step}" if where else str(step)
+    if problem["type"] == "extra_forbidden":
+        table = str(steps[0]) if len(steps) > 1 else ""
+        known = ", ".join(_TABLES[table].model_fields)
+        return f"unknown key {where}; known are {known}"
+    if problem["type"] == "missing":
+        return f"{where} is missing"
+    message = problem["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    given = problem["input"]
+    if isinstance(given, str | int | float | list) and problem["type"] != "value_error":
+        message += f"; it is {given!r}"
+    return f"{where}: {message}" if where else message
+
+
+def _recording(
+    scene: Path,
+    base: Path,
+    number: int,
+    table: _RecordingTable,
+    image_size_px: tuple[int, int] | None,
+) -> Recording:
+    paths: dict[str, Path | None] = {}
+    for key in ("video", "frames", "clock", "boxes", "detections", "fixes"):
+        written = getattr(table, key)
+        paths[f"{key}_path"] = None if written is None else base / written
+        if written is not None:
+            _check_there(scene, f"recordings[{number + 1}].{key}", base / written, key == "frames")
+    start = table.start_utc
+    if start is not None and start.tzinfo is None:
+        start = start.replace(tzinfo=UTC)
+    return Recording(
+        name=table.name,
+        start_utc_s=None if start is None else start.timestamp(),
+        mmsi=table.mmsi,
+        image_size_px=image_size_px,
+        **paths,
+    )
+
+
+def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:
+    if not path.exists():
+        raise InputError(f"{scene}: {key} names {path}, which does not exist")
+    if path.is_dir() != folder:
+        raise InputError(
+            f"{scene}: {key} names {path}, which is a {'file' if folder else 'folder'}; "
+            f"expected a {'folder of FRAME.jpg' if folder else 'file'}"
+        )
+
+
+def _control_points(scene: Path, base: Path, points: list[_PointTable] | str) -> ControlPoints:
+    if isinstance(points, str):
+        _check_there(scene, "control_points", base / points, False)
+        return formats.read_control_points(base / points)
+    return ControlPoints(
+        pixel_px=np.array([point.pixel_px for point in points]).reshape(-1, 2),
+        latitude_deg=np.array([point.latitude_deg for point in points]),
+        longitude_deg=np.array([point.longitude_deg for point in points]),
+    )
