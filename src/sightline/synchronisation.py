@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,13 +44,20 @@ class Synchronised:
 
 
 def distinct(fixes: Fixes) -> Fixes:
-    """One fix a time: the mean of those that share it.
+    """One fix a time.
 
-    Receivers that log whole seconds write several fixes under one second; between them their
-    order is known but not their distance in time, so they count as one.
+    A log that keeps whole seconds and writes several fixes under one of them has cut off the
+    fractions: its fixes are spread evenly over their second, in their order. In a log with
+    fractions, fixes that share a time count as one, their mean.
     """
-    times, group = np.unique(fixes.time_utc_s, return_inverse=True)
-    count = np.bincount(group)
+    times, first, group, count = np.unique(
+        fixes.time_utc_s, return_index=True, return_inverse=True, return_counts=True
+    )
+    if times.size == fixes.time_utc_s.size:
+        return fixes
+    if np.array_equal(times, np.floor(times)):
+        place = np.arange(fixes.time_utc_s.size) - first[group]
+        return replace(fixes, time_utc_s=fixes.time_utc_s + (place + 0.5) / count[group])
     return Fixes(
         time_utc_s=times,
         latitude_deg=np.bincount(group, fixes.latitude_deg) / count,

@@ -165,7 +165,7 @@ class Camera:
         rotation = rotation_matrix(self.to_vector())
         down = -(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2])
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.where(down > 0.0, (self.height_m - above_m) / down, np.nan)
+            reach = np.where(down > 0.0, (self.height_m - np.asarray(above_m)) / down, np.nan)
         east = reach * (rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0])
         north = reach * (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1])
         return self.east_m + east, self.north_m + north
@@ -204,7 +204,7 @@ class Camera:
         stretch = self.focal_px * (1.0 + square * (self.k1 + square * self.k2))[valid]
         at = 0.5 * self.image_size_px[0] + stretch * x[valid]
         row = 0.5 * self.image_size_px[1] + stretch * y[valid]
-        return np.interp(columns, at, row, left=np.nan, right=np.nan)
+        return np.asarray(np.interp(columns, at, row, left=np.nan, right=np.nan))
 
 
 def rotation_matrix(vector: FloatArray) -> FloatArray:

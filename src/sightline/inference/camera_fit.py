@@ -464,10 +464,17 @@ class _Problem:
 
         if not np.isfinite(evaluate(start)[1]).all():
             return None
+
+        def residuals(vector: FloatArray) -> FloatArray:
+            return evaluate(vector)[1]
+
+        def derivatives(vector: FloatArray) -> FloatArray:
+            return evaluate(vector)[2]
+
         solution = least_squares(
-            lambda vector: evaluate(vector)[1],
+            residuals,
             start,
-            jac=lambda vector: evaluate(vector)[2],
+            jac=derivatives,
             x_scale=self.scale,
             max_nfev=evaluations,
             xtol=1e-9,
@@ -524,7 +531,9 @@ class _Problem:
         weight = weight / self._crowding(share)[:, None]
         scaled = jacobian * (np.sqrt(weight) / sigma)[:, :, None]
         flat = scaled.reshape(-1, vector.size)
-        covariance = np.linalg.pinv(flat.T @ flat + np.diag(precision), hermitian=True)
+        covariance: FloatArray = np.linalg.pinv(
+            flat.T @ flat + np.diag(precision), hermitian=True
+        ).astype(np.float64)
         leverage = np.einsum("nij,jk,nik->n", scaled, covariance, scaled)
         return CameraFit(
             vector=vector,

@@ -137,7 +137,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.n_features_in_ = 4
         self.typical_speed_mps_ = float(np.sqrt(np.mean(velocity**2) * 2.0)) if n else 0.0
         self._prepare()
-        self.range_process_, self.bearing_process_ = None, None
+        self.range_process_: ResidualProcess | None = None
+        self.bearing_process_: ResidualProcess | None = None
         if self.residual and n >= FEWEST_FOR_RESIDUAL:
             offset = self.fit_.clock_offset_s
             clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
@@ -166,7 +167,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         places = np.full((len(boxes), 2), np.nan)
         covariance = np.full((len(boxes), 2, 2), np.nan)
         if source is None or np.ndim(source) == 0:
-            parts = [(str(source or ""), None)]
+            parts: list[tuple[str, IntArray | None]] = [(str(source or ""), None)]
         else:
             names = np.asarray(source, dtype=np.str_)
             parts = [(str(name), np.flatnonzero(names == name)) for name in np.unique(names)]
@@ -322,16 +323,17 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return
         limit = 3.0 * noise[usable]
         clipped = np.clip(targets[usable], -limit, limit)
-        self.range_process_, self.bearing_process_ = (
-            ResidualProcess(
+
+        def learn(axis: int) -> ResidualProcess:
+            return ResidualProcess(
                 inputs[usable],
                 clipped[:, axis],
                 noise[usable, axis],
                 self._group[usable],
                 length_scales=_LENGTH_SCALES,
             )
-            for axis in (0, 1)
-        )
+
+        self.range_process_, self.bearing_process_ = learn(0), learn(1)
 
     def state(self) -> tuple[Arrays, Settings]:
         """What `from_state` needs to predict the same: arrays, and the rest as JSON can hold it."""
@@ -379,9 +381,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         prior = settings["prior"]
         if prior is not None:
-            prior = CameraPrior(
-                **{k: tuple(v) if isinstance(v, list) else v for k, v in prior.items()}
-            )
+            pairs = {k: tuple(v) for k, v in prior.items() if isinstance(v, list)}
+            prior = CameraPrior(**{**prior, **pairs})
         width, height = (int(v) for v in settings["image_size_px"])
         model = cls(
             (width, height),

@@ -1,0 +1,469 @@
+"""A fitted model with the plane that it works in, and what is to be known about its fit."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sightline.errors import FitError, unknown_name
+from sightline.geodesy import LocalPlane
+from sightline.inference.camera import PARAMETERS, Camera
+from sightline.inference.camera_model import CameraRegressor
+from sightline.inference.pairs import Pairs, scene_pairs
+from sightline.inference.paper import PAPER_MODELS, PaperModel, paper_model
+from sightline.inference.support import Support
+from sightline.scene import Scene
+from sightline.types import BoolArray, FloatArray, Positions, check_boxes
+
+MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
+"""The names of all models: the paper's five, and ours."""
+
+DEFAULT_MODEL = "camera+gpr"
+
+_UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of the camera as the fit found it.
+
+    Attributes:
+        name: As in `PARAMETERS`.
+        value: In ``unit``.
+        sigma: Standard deviation, in ``unit``.
+        unit: ``"m"``, ``"degrees"``, ``"px"`` or ``""``.
+        determined: Whether data, and not belief, says what it is.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+    determined: bool
+
+
+@dataclass(frozen=True)
+class SourceBias:
+    """The habit of a source of boxes at the lower edge.
+
+    Attributes:
+        name: Of the annotator or detector.
+        n: Boxes of it in the fit.
+        bias_px: How many pixels too low its lower edges lie, whatever the range.
+        bias_m: At what height above the water or road its lower edges lie, metres; negative is
+            too low.
+        sigma_px: Standard deviation of ``bias_px``.
+        sigma_m: Standard deviation of ``bias_m``.
+    """
+
+    name: str
+    n: int
+    bias_px: float
+    bias_m: float
+    sigma_px: float
+    sigma_m: float
+
+
+@dataclass(frozen=True)
+class FittedBox:
+    """One box of the fit: what is left of it, and how much hangs on it.
+
+    Attributes:
+        recording: Its recording.
+        frame: Its frame, -1 if it had none.
+        source: Who made it.
+        error_m: Between the model's place and the log's.
+        leverage: How much of the fit hangs on it, NaN where the model does not tell.
+        outlier: Whether the fit took it for one.
+    """
+
+    recording: str
+    frame: int
+    source: str
+    error_m: float
+    leverage: float
+    outlier: bool
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What is to be known about a fit.
+
+    Attributes:
+        model: Name of the model.
+        n: Pairs that it learned from.
+        asked: Boxes that there were.
+        control_points: Control points that it learned from.
+        recordings: Their names.
+        rmse_m: Root mean square error of the pairs themselves, metres.
+        median_m: Median error of the pairs themselves, metres.
+        parameters: Of the camera; none for the paper's models.
+        sources: Of the boxes; none for the paper's models.
+        clock_offset_s: By recording, how far its clock is to be moved on to agree with the log.
+        boxes: One a pair.
+        statements: Sentences for people: what could not be determined, what stands out.
+    """
+
+    model: str
+    n: int
+    asked: int
+    control_points: int
+    recordings: tuple[str, ...]
+    rmse_m: float
+    median_m: float
+    parameters: tuple[Parameter, ...] = ()
+    sources: tuple[SourceBias, ...] = ()
+    clock_offset_s: dict[str, float] = field(default_factory=dict)
+    boxes: tuple[FittedBox, ...] = ()
+    statements: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON can hold it; numbers that are none become None."""
+        content: dict[str, Any] = _jsonable(asdict(self))
+        return content
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> FitReport:
+        """What `to_dict` wrote.
+
+        Raises:
+            LookupError: A field is missing.
+            TypeError: There are others than there should be.
+        """
+
+        def number(value: Any) -> float:
+            return float("nan") if value is None else float(value)
+
+        fields = dict(content)
+        fields["rmse_m"], fields["median_m"] = number(fields["rmse_m"]), number(fields["median_m"])
+        fields["recordings"] = tuple(fields["recordings"])
+        fields["statements"] = tuple(fields["statements"])
+        fields["parameters"] = tuple(Parameter(**p) for p in fields["parameters"])
+        fields["sources"] = tuple(SourceBias(**s) for s in fields["sources"])
+        fields["boxes"] = tuple(
+            FittedBox(**{**b, "error_m": number(b["error_m"]), "leverage": number(b["leverage"])})
+            for b in fields["boxes"]
+        )
+        return cls(**fields)
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(v) for v in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Georeferencer:
+    """Says where boxes lie on the earth.
+
+    Attributes:
+        model: Name of the model, one of `MODELS`.
+        regressor: From boxes to metres in the plane.
+        plane: The camera is at its origin, as far as its place is known.
+        image_size_px: Width and height of the images that it works on.
+        support: Where in the image it has learned.
+        report: What is to be known about the fit.
+    """
+
+    model: str
+    regressor: PaperModel | CameraRegressor
+    plane: LocalPlane
+    image_size_px: tuple[int, int]
+    support: Support
+    report: FitReport
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera, where the model has one."""
+        return self.regressor.camera_ if isinstance(self.regressor, CameraRegressor) else None
+
+    def locate(self, boxes_xyxy_px: ArrayLike, source: ArrayLike | None = None) -> Positions:
+        """Where boxes lie.
+
+        Args:
+            boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
+            source: Who made the boxes, (N,) str or one for all: the annotator's or detector's
+                name, as in the fit. Its bias is taken off. The paper's models know no sources.
+
+        Returns:
+            N positions, NaN where there is none: at or above the horizon, or where the range
+            would be less certain than half of itself.
+
+        Raises:
+            InputError: A box is reversed, or not a number.
+        """
+        boxes = np.asarray(boxes_xyxy_px, dtype=np.float64)
+        boxes = boxes.reshape(-1, 4) if boxes.size == 0 or boxes.ndim == 1 else boxes
+        check_boxes(boxes)
+        if isinstance(self.regressor, CameraRegressor):
+            places, covariance = self.regressor.predict(boxes, source=source, return_cov=True)
+        else:
+            places, covariance = self.regressor.predict(boxes)
+        foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
+        known = np.isfinite(places[:, 0])
+        return Positions(
+            east_m=places[:, 0],
+            north_m=places[:, 1],
+            covariance_m2=covariance,
+            extrapolated=~(known & self.support.holds(foot)),
+            plane=self.plane,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the model to a file, whole or not at all; see `sightline.load`."""
+        from sightline.inference.model_file import save_model
+
+        return save_model(self, path)
+
+
+def fit(scene: Scene, model: str = DEFAULT_MODEL, *, seed: int = 0) -> Georeferencer:
+    """Learn a georeferencer from a scene.
+
+    Args:
+        scene: Its recordings' boxes and logs, and its control points.
+        model: One of `MODELS`. The paper's learn from boxes alone, ours from control points too.
+        seed: Of whatever is random in the fit.
+
+    Raises:
+        InputError: The model's name is not known, or a file of the scene cannot be used.
+        FitError: There are too few pairs, all in one place, or no camera explains them.
+    """
+    if model not in MODELS:
+        raise unknown_name("model", model, MODELS)
+    plane = scene.plane
+    known = plane is not None
+    if plane is None:
+        plane = _middle(scene)
+    pairs = scene_pairs(scene, plane)
+    if not len(pairs) and not len(scene.control_points):
+        raise FitError(
+            f"{scene.path}: no pairs of a box and a fix, and no control points; give a recording "
+            "boxes and fixes, or [[control_points]]"
+        )
+    fitted = fit_pairs(
+        pairs, scene, model, position_known=known, image_size_px=scene.image_size_px, seed=seed
+    )
+    if known or fitted.camera is None:
+        return fitted
+    # The origin of the plane is where the camera stands; now it is known where that is.
+    latitude, longitude = plane.to_geographic([fitted.camera.east_m], [fitted.camera.north_m])
+    plane = LocalPlane(float(latitude[0]), float(longitude[0]))
+    return fit_pairs(
+        scene_pairs(scene, plane),
+        scene,
+        model,
+        position_known=False,
+        image_size_px=scene.image_size_px,
+        seed=seed,
+    )
+
+
+def _middle(scene: Scene) -> LocalPlane:
+    """A plane in the middle of what is known, for a camera of which nobody knows where it is."""
+    latitudes, longitudes = (
+        [scene.control_points.latitude_deg],
+        [scene.control_points.longitude_deg],
+    )
+    for recording in scene.recordings:
+        if recording.fixes_path is not None and recording.boxes_path is not None:
+            fixes = recording.fixes()
+            latitudes.append(fixes.latitude_deg)
+            longitudes.append(fixes.longitude_deg)
+    if not sum(map(len, latitudes)):
+        raise FitError(
+            f"{scene.path}: nothing says where on the earth the scene is; give [camera] "
+            "latitude_deg and longitude_deg, a log (fixes) with boxes, or [[control_points]]"
+        )
+    return LocalPlane(
+        float(np.median(np.concatenate(latitudes))), float(np.median(np.concatenate(longitudes)))
+    )
+
+
+def fit_pairs(
+    pairs: Pairs,
+    scene: Scene,
+    model: str,
+    *,
+    position_known: bool,
+    image_size_px: tuple[int, int],
+    seed: int = 0,
+) -> Georeferencer:
+    """Learn a georeferencer from pairs and the control points of a scene; see `fit`."""
+    control = scene.control_points
+    control_east_north = np.stack(
+        pairs.plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1
+    )
+    boxes = pairs.boxes.xyxy_px
+    regressor: PaperModel | CameraRegressor
+    foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
+    if model in PAPER_MODELS:
+        regressor = paper_model(model, seed=seed).fit(
+            boxes, pairs.east_north_m, image_size_px=image_size_px
+        )
+        places = regressor.predict(boxes)[0]
+        pixels = foot
+    else:
+        regressor = CameraRegressor(
+            image_size_px,
+            residual=model == "camera+gpr",
+            position_known=position_known,
+            starts=8 if position_known else 24,
+            random_state=seed,
+        ).fit(
+            boxes,
+            pairs.east_north_m,
+            source=pairs.boxes.source,
+            group=pairs.recording,
+            velocity_mps=pairs.velocity_mps,
+            control_px=control.pixel_px,
+            control_east_north_m=control_east_north,
+        )
+        places = regressor.predict(boxes, source=pairs.boxes.source)
+        pixels = np.concatenate([foot, control.pixel_px])
+    return Georeferencer(
+        model=model,
+        regressor=regressor,
+        plane=pairs.plane,
+        image_size_px=image_size_px,
+        support=Support.of(pixels, image_size_px),
+        report=_report(model, regressor, pairs, places, len(control)),
+    )
+
+
+def _report(
+    model: str,
+    regressor: PaperModel | CameraRegressor,
+    pairs: Pairs,
+    places: FloatArray,
+    control_points: int,
+) -> FitReport:
+    error = np.hypot(*(places - pairs.east_north_m).T)
+    n = len(pairs)
+    leverage, outlier = np.full(n, np.nan), np.zeros(n, dtype=bool)
+    more: dict[str, Any] = {}
+    if isinstance(regressor, CameraRegressor):
+        leverage, outlier = regressor.fit_.leverage[:n], regressor.fit_.outlier[:n]
+        more = _camera_report(regressor, pairs, control_points, outlier)
+    return FitReport(
+        model=model,
+        n=n,
+        asked=pairs.asked,
+        control_points=control_points if more else 0,
+        recordings=tuple(str(name) for name in np.unique(pairs.recording)),
+        rmse_m=float(np.sqrt(np.nanmean(error**2))) if n else float("nan"),
+        median_m=float(np.nanmedian(error)) if n else float("nan"),
+        boxes=tuple(
+            FittedBox(
+                recording=str(pairs.recording[i]),
+                frame=int(pairs.boxes.frame[i]),
+                source=str(pairs.boxes.source[i]),
+                error_m=float(error[i]),
+                leverage=float(leverage[i]),
+                outlier=bool(outlier[i]),
+            )
+            for i in range(n)
+        ),
+        **more,
+    )
+
+
+def _camera_report(
+    regressor: CameraRegressor, pairs: Pairs, control_points: int, outlier: BoolArray
+) -> dict[str, Any]:
+    fitted = regressor.fit_
+    camera, determined = fitted.camera, fitted.determined()
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    parameters = []
+    for i, name in enumerate(PARAMETERS):
+        value = float(getattr(camera, name))
+        scale = {"height_m": value, "focal_px": value}.get(
+            name, np.degrees(1.0) if name.endswith("_deg") else 1.0
+        )
+        unit = next((u for end, u in _UNITS.items() if name.endswith(end)), "")
+        parameters.append(
+            Parameter(name, value, float(sigma[i] * scale), unit, bool(determined[i]))
+        )
+    sources = []
+    for i, name in enumerate(regressor.sources_):
+        at = len(PARAMETERS) + 2 * i
+        sources.append(
+            SourceBias(
+                name=name,
+                n=int(np.sum(pairs.boxes.source == name)),
+                bias_px=float(fitted.vector[at]),
+                bias_m=float(fitted.vector[at + 1]),
+                sigma_px=float(sigma[at]),
+                sigma_m=float(sigma[at + 1]),
+            )
+        )
+    names = np.unique(pairs.recording)
+    clocks = {
+        str(names[group]): float(offset)
+        for group, offset in zip(fitted.clock_groups, fitted.clock_offset_s, strict=True)
+    }
+    return {
+        "parameters": tuple(parameters),
+        "sources": tuple(sources),
+        "clock_offset_s": clocks,
+        "statements": _statements(parameters, fitted, pairs, control_points, outlier),
+    }
+
+
+def _statements(
+    parameters: list[Parameter],
+    fitted: Any,
+    pairs: Pairs,
+    control_points: int,
+    outlier: BoolArray,
+) -> tuple[str, ...]:
+    out = []
+    unknown = [p.name for p in parameters if not p.determined]
+    if unknown:
+        out.append(
+            f"The data does not determine {', '.join(unknown)}: what is assumed of an ordinary "
+            "camera decides, and positions away from the training boxes are as unsure as stated."
+        )
+    if fitted.starts_agreeing < 0.5 * fitted.starts:
+        out.append(
+            f"Only {fitted.starts_agreeing} of {fitted.starts} starts ended at this camera; "
+            "another may explain the data as well."
+        )
+    if outlier.any():
+        where = ", ".join(
+            f"{pairs.recording[i]}/{pairs.boxes.frame[i]}" for i in np.flatnonzero(outlier)[:5]
+        )
+        out.append(
+            f"{int(outlier.sum())} of {len(pairs)} boxes disagree with all others and count "
+            f"little (recording/frame {where})."
+        )
+    heavy = fitted.leverage.max(initial=0.0)
+    if heavy > 1.5 and len(pairs) + control_points > 8:
+        out.append(
+            f"A single box carries {heavy:.1f} parameters of the fit; more boxes near it would "
+            "make the camera surer."
+        )
+    late = {
+        str(name): offset
+        for name, offset in zip(
+            np.unique(pairs.recording)[fitted.clock_groups] if len(pairs) else [],
+            fitted.clock_offset_s,
+            strict=True,
+        )
+        if abs(offset) > 1.0
+    }
+    for name, offset in late.items():
+        out.append(
+            f"The clock of recording {name} seems {abs(offset):.1f} s "
+            f"{'behind' if offset > 0 else 'ahead of'} the log."
+        )
+    return tuple(out)

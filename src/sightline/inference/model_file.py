@@ -1,0 +1,109 @@
+"""Models in files: safetensors with JSON in its header, so that a stranger's model runs no code."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from sightline.errors import ModelFileError, SightlineError
+from sightline.formats.atomic import atomic_path
+from sightline.geodesy import LocalPlane
+from sightline.inference.camera_model import CameraRegressor
+from sightline.inference.georeferencer import MODELS, FitReport, Georeferencer
+from sightline.inference.paper import PAPER_MODELS, PaperModel
+from sightline.inference.support import Support
+
+FORMAT = "sightline-model"
+FORMAT_VERSION = 1
+
+
+def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Path:
+    """Write a georeferencer, whole or not at all.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    arrays, settings = georeferencer.regressor.state()
+    content = {
+        "model": georeferencer.model,
+        "plane": [georeferencer.plane.latitude_deg, georeferencer.plane.longitude_deg],
+        "image_size_px": list(georeferencer.image_size_px),
+        "settings": settings,
+        "report": georeferencer.report.to_dict(),
+    }
+    tensors = {f"regressor.{name}": np.ascontiguousarray(a) for name, a in arrays.items()}
+    tensors["support"] = np.ascontiguousarray(georeferencer.support.planes)
+    with atomic_path(path) as temporary:
+        save_file(
+            tensors,
+            temporary,
+            metadata={
+                "format": FORMAT,
+                "format_version": str(FORMAT_VERSION),
+                "content": json.dumps(content, allow_nan=False),
+            },
+        )
+    return Path(path)
+
+
+def load_model(path: str | os.PathLike[str]) -> Georeferencer:
+    """Read a georeferencer.
+
+    Raises:
+        ModelFileError: There is no such file, it is damaged, of another kind, or of a format
+            version that this release does not know.
+    """
+    metadata, tensors = _read(Path(path))
+    if metadata.get("format") != FORMAT:
+        raise ModelFileError(f"{path}: is no model of sightline; expected what `fit` has written")
+    version = metadata.get("format_version", "")
+    if version != str(FORMAT_VERSION):
+        raise ModelFileError(
+            f"{path}: is of format version {version or 'unknown'}, this release reads version "
+            f"{FORMAT_VERSION}; fit the model again, or use the release that wrote it"
+        )
+    try:
+        return _build(json.loads(metadata["content"]), tensors)
+    except (LookupError, TypeError, ValueError, ArithmeticError, SightlineError) as error:
+        raise ModelFileError(f"{path}: is damaged ({error}); fit the model again") from error
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
+    if not path.is_file():
+        raise ModelFileError(f"{path}: there is no such model file; `sightline fit` writes one")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    except (SafetensorError, OSError, ValueError) as error:
+        raise ModelFileError(
+            f"{path}: is damaged or no model of sightline ({error}); fit the model again"
+        ) from error
+
+
+def _build(content: dict[str, Any], tensors: dict[str, Any]) -> Georeferencer:
+    name = content["model"]
+    if name not in MODELS:
+        raise ValueError(f"its model {name!r} is not known")
+    prefix = "regressor."
+    arrays = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+    regressor: PaperModel | CameraRegressor
+    if name in PAPER_MODELS:
+        regressor = PaperModel.from_state(arrays, content["settings"])
+    else:
+        regressor = CameraRegressor.from_state(arrays, content["settings"])
+    width, height = (int(v) for v in content["image_size_px"])
+    latitude, longitude = (float(v) for v in content["plane"])
+    return Georeferencer(
+        model=name,
+        regressor=regressor,
+        plane=LocalPlane(latitude, longitude),
+        image_size_px=(width, height),
+        support=Support(np.asarray(tensors["support"], dtype=np.float64).reshape(-1, 3)),
+        report=FitReport.from_dict(content["report"]),
+    )

@@ -1,0 +1,103 @@
+"""Boxes of a target whose place is known: what every model learns from and is scored on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from sightline.errors import FitError
+from sightline.geodesy import LocalPlane
+from sightline.scene import Recording, Scene, check_overlap
+from sightline.synchronisation import LARGEST_GAP_S, synchronise
+from sightline.types import Boxes, FloatArray, StrArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Boxes with the place of the target at their time, one row a box.
+
+    Attributes:
+        boxes: (N,) the boxes.
+        recording: (N,) str, the name of each box's recording.
+        east_north_m: (N, 2) float64, metres in ``plane``.
+        velocity_mps: (N, 2) float64, east and north.
+        asked: How many boxes there were; those without a fix on either side do not count.
+        plane: Where the origin lies.
+    """
+
+    boxes: Boxes
+    recording: StrArray
+    east_north_m: FloatArray
+    velocity_mps: FloatArray
+    asked: int
+    plane: LocalPlane
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def __getitem__(self, rows: Any) -> Self:
+        return replace(
+            self,
+            boxes=self.boxes[rows],
+            recording=self.recording[rows],
+            east_north_m=self.east_north_m[rows],
+            velocity_mps=self.velocity_mps[rows],
+        )
+
+
+def scene_pairs(scene: Scene, plane: LocalPlane, *, largest_gap_s: float = LARGEST_GAP_S) -> Pairs:
+    """The pairs of all recordings that have boxes and a log.
+
+    Args:
+        scene: The scene.
+        plane: The plane of the places.
+        largest_gap_s: A box counts where the fixes on either side are at most this far apart.
+
+    Raises:
+        FitError: A recording has boxes but no recording has a log.
+        InputError: No recording's log overlaps it, or a file cannot be used.
+    """
+    parts: list[Pairs] = []
+    silent: list[Recording] = []
+    for recording in scene.recordings:
+        if recording.boxes_path is None or recording.fixes_path is None:
+            continue
+        boxes = recording.boxes()
+        place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
+        rows = place.matched
+        if not rows.any():
+            silent.append(recording)
+        parts.append(
+            Pairs(
+                boxes=boxes[rows],
+                recording=np.full(int(rows.sum()), recording.name),
+                east_north_m=np.stack([place.east_m, place.north_m], axis=1)[rows],
+                velocity_mps=np.nan_to_num(
+                    np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)[rows]
+                ),
+                asked=len(boxes),
+                plane=plane,
+            )
+        )
+    if silent and len(silent) == len(parts):
+        for recording in silent:
+            check_overlap(
+                recording.boxes().time_utc_s, recording.fixes(), f"recording {recording.name}"
+            )
+        raise FitError(
+            f"{scene.path}: no box has fixes at most {largest_gap_s:g} s apart around it; the log "
+            "has gaps wherever there are boxes"
+        )
+    if not parts:
+        nothing = np.empty((0, 2))
+        return Pairs(Boxes.of([]), np.empty(0, dtype=np.str_), nothing, nothing.copy(), 0, plane)
+    return Pairs(
+        boxes=Boxes.concatenate([part.boxes for part in parts]),
+        recording=np.concatenate([part.recording for part in parts]),
+        east_north_m=np.concatenate([part.east_north_m for part in parts]),
+        velocity_mps=np.concatenate([part.velocity_mps for part in parts]),
+        asked=sum(part.asked for part in parts),
+        plane=plane,
+    )
