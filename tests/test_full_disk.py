@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.errors import InputError
+from sightline.formats import write_boxes, write_fixes, write_tracks
+from sightline.geodesy import LocalPlane
+from sightline.types import Boxes, Fixes, Frame, Track
+from sightline.video import write_video
+
+resource = pytest.importorskip("resource", reason="only Unix limits the size of files")
+
+N = 3000
+
+
+@contextmanager
+def room_for(size_bytes: int) -> Iterator[None]:
+    """The system refuses to let a file grow beyond a size, as it does on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def a_track() -> Track:
+    times = 1.6e9 + np.arange(N, dtype=float)
+    covariance = np.tile(np.eye(2), (N, 1, 1))
+    column = np.zeros(N)
+    kind = np.zeros(N, dtype=np.int8)
+    plane = LocalPlane(0.0, 0.0)
+    return Track(1, times, column, column, column, column, covariance, covariance, kind, plane)
+
+
+def noise() -> Iterator[Frame]:
+    rng = np.random.default_rng(0)
+    for index in range(60):
+        yield Frame(index, index / 10.0, rng.integers(0, 255, (120, 160, 3), dtype=np.uint8))
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.geojson", "a.gpx", "a.kml"])
+def test_tracks(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=f"{name}: cannot be written"), room_for(20_000):
+        write_tracks([a_track()], tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.gpx"])
+def test_fixes(tmp_path: Path, name: str) -> None:
+    fixes = Fixes(np.arange(N), np.zeros(N), np.zeros(N))
+    with pytest.raises(InputError, match=f"{name}: cannot be written"), room_for(20_000):
+        write_fixes(fixes, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.txt"])
+def test_boxes(tmp_path: Path, name: str) -> None:
+    boxes = Boxes.of(np.tile([0.0, 0.0, 1.0, 1.0], (N, 1)), frame=np.arange(N))
+    with pytest.raises(InputError, match=f"{name}: cannot be written"), room_for(20_000):
+        write_boxes(boxes, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_video(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.mp4: cannot be written"), room_for(20_000):
+        write_video(tmp_path / "a.mp4", noise())
+    assert list(tmp_path.iterdir()) == []
