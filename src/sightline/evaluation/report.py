@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -114,6 +114,17 @@ class Report:
             out["tracks"] = {**asdict(self.tracks), "used": list(self.tracks.used)}
         plain: dict[str, Any] = without_nan(out)
         return plain
+
+    def without_camera(self) -> Report:
+        """The report without what needs the camera's place, for tracks that do not tell it."""
+        nan = math.nan
+        return replace(
+            self,
+            ape=replace(self.ape, per_range=nan),
+            bias=LineOfSight(*([nan] * len(fields(LineOfSight)))),
+            by_range=(),
+            recordings={name: part.without_camera() for name, part in self.recordings.items()},
+        )
 
     def write(self, path: str | Path) -> None:
         """Write the report as JSON.
