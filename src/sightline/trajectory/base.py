@@ -1,0 +1,159 @@
+"""What every trajectory method shares: the seam, the check of its input, the kinds of points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.types import BoolArray, FloatArray, IntArray, PointKind, Positions, Track
+
+SAME_TIME_S = 1e-6
+"""Times closer than this are one time: stored POSIX seconds are good to a quarter of it."""
+
+
+class TrajectoryMethod(Protocol):
+    """Makes a smooth track of the positions of one target."""
+
+    def apply(
+        self,
+        time_utc_s: FloatArray,
+        positions: Positions,
+        *,
+        confidence: FloatArray | None = None,
+        at_utc_s: FloatArray | None = None,
+        track_id: int = 0,
+        label: str = "",
+    ) -> Track:
+        """The track of one target.
+
+        Args:
+            time_utc_s: (N,) float64, POSIX seconds of the positions, in any order; rows without
+                a time are left out.
+            positions: N rows; rows without a position (NaN) are left out, as if the target had
+                not been seen.
+            confidence: (N,) float64 in [0, 1], of the boxes; absent: 1.
+            at_utc_s: (M,) float64, the times to answer for; absent: the distinct times at which
+                there is a position. They come back in rising order, each once.
+            track_id: Number of the track, passed on.
+            label: Class of the target, passed on.
+
+        Raises:
+            InputError: Columns of different lengths, no position at all, or a time asked for
+                that is no number.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """The positions that a method works on, in the order of time.
+
+    Attributes:
+        time_utc_s: (N,) float64, finite, never decreasing.
+        en_m: (N, 2) float64, metres east and north, finite.
+        covariance_m2: (N, 2, 2) float64, symmetric and positive definite.
+        confidence: (N,) float64.
+        rows: (N,) int64, where they stood in what was given.
+    """
+
+    time_utc_s: FloatArray
+    en_m: FloatArray
+    covariance_m2: FloatArray
+    confidence: FloatArray
+    rows: IntArray
+
+
+SMALLEST_SIGMA_M = 1e-4
+"""A position is never taken for more precise than this, so that covariances stay invertible."""
+
+
+def measurements(
+    time_utc_s: FloatArray,
+    positions: Positions,
+    confidence: FloatArray | None,
+    at_utc_s: FloatArray | None,
+    track_id: int,
+) -> tuple[Measurements, FloatArray]:
+    """The usable rows in the order of time, and the times to answer for.
+
+    Args:
+        time_utc_s: (N,) POSIX seconds.
+        positions: N rows.
+        confidence: (N,), or None for 1.
+        at_utc_s: (M,) POSIX seconds, or None for the distinct times of the usable rows.
+        track_id: For messages.
+
+    Raises:
+        InputError: See `TrajectoryMethod.apply`.
+    """
+    times = np.asarray(time_utc_s, dtype=np.float64)
+    n = len(positions)
+    weights = np.ones(n) if confidence is None else np.asarray(confidence, dtype=np.float64)
+    for name, column in (("times", times), ("confidences", weights)):
+        if column.shape != (n,):
+            raise InputError(
+                f"track {track_id}: {column.size} {name} for {n} positions; expected one each"
+            )
+    usable = positions.known & np.isfinite(times) & np.isfinite(weights)
+    usable &= np.isfinite(positions.covariance_m2).all(axis=(1, 2))
+    if not usable.any():
+        raise InputError(
+            f"track {track_id}: none of its {n} boxes has a position, a covariance and a time; "
+            "a track needs at least one"
+        )
+    rows = np.flatnonzero(usable)
+    rows = rows[np.argsort(times[rows], kind="stable")]
+    covariance = positions.covariance_m2[rows]
+    values, vectors = np.linalg.eigh(0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
+    values = np.maximum(values, SMALLEST_SIGMA_M**2)
+    measured = Measurements(
+        time_utc_s=times[rows],
+        en_m=np.stack([positions.east_m[rows], positions.north_m[rows]], axis=1),
+        covariance_m2=(vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2),
+        confidence=weights[rows],
+        rows=rows,
+    )
+    if at_utc_s is None:
+        return measured, distinct(measured.time_utc_s)
+    asked = np.atleast_1d(np.asarray(at_utc_s, dtype=np.float64))
+    if not np.isfinite(asked).all():
+        raise InputError(f"track {track_id}: a time that is asked for is no number")
+    return measured, distinct(np.sort(asked))
+
+
+def distinct(sorted_utc_s: FloatArray) -> FloatArray:
+    """The values of a sorted array, those within `SAME_TIME_S` of the one before left out."""
+    if not sorted_utc_s.size:
+        return sorted_utc_s
+    kept: FloatArray = sorted_utc_s[np.diff(sorted_utc_s, prepend=-np.inf) > SAME_TIME_S]
+    return kept
+
+
+def point_kinds(
+    at_utc_s: FloatArray, used_utc_s: FloatArray, longest_gap_s: float
+) -> NDArray[np.int8]:
+    """How points of a track came about.
+
+    Args:
+        at_utc_s: (M,) times of the points, rising.
+        used_utc_s: (N,) times of the measurements that were used, rising, at least one.
+        longest_gap_s: Between measurements further apart than this a point is extrapolated.
+
+    Returns:
+        (M,) `PointKind` values.
+    """
+    after = np.searchsorted(used_utc_s, at_utc_s)
+    last = used_utc_s.size - 1
+    before_s = at_utc_s - used_utc_s[np.clip(after - 1, 0, last)]
+    after_s = used_utc_s[np.clip(after, 0, last)] - at_utc_s
+    measured = (np.abs(before_s) <= SAME_TIME_S) | (np.abs(after_s) <= SAME_TIME_S)
+    inside: BoolArray = (after > 0) & (after <= last) & (before_s + after_s <= longest_gap_s)
+    return np.select(
+        [measured, inside],
+        [PointKind.MEASURED, PointKind.INTERPOLATED],
+        PointKind.EXTRAPOLATED,
+    ).astype(np.int8)

@@ -1,0 +1,363 @@
+r"""A robust Rauch-Tung-Striebel smoother that knows how unsure each position is.
+
+The target moves with nearly constant velocity. What is told of a position's covariance is taken
+for its size, and the rest is learned from the track itself by maximum likelihood:
+
+* how much of the noise is white from box to box and how much lasts (a detector that is wrong in
+  one frame is wrong in the next), for how long, and how large both are against what was stated,
+  along the line of sight and across it;
+* how hard the target accelerates.
+
+Priors hold where a track is too short or too sparse to tell.
+
+The noise along the line of sight grows with the range. It is taken at the range that the smoother
+*predicts*: a measured range that fell short looks precise, and would pull the track towards the
+camera. How it grows is read from the covariances, as a power of the range
+:math:`\sigma(r) \propto r^p`, and the measurement is taken in the coordinate
+
+.. math:: z(r) = \int r^{-p}\,dr,
+
+in which its noise is the same everywhere: the inverse range for a camera over a plane
+(:math:`p = 2`), the range itself where the covariance does not depend on it. The measurement
+equation is linearised at the smoothed track and the smoother run again (an iterated extended
+smoother, Bell, *SIAM J. Optim.* 4(3), 1994). With :math:`p = 0` it is linear from the start.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import Bounds, minimize
+from scipy.special import chdtri
+
+from sightline.errors import InputError
+from sightline.geodesy import LocalPlane
+from sightline.trajectory import chain
+from sightline.trajectory.base import Measurements, measurements, point_kinds
+from sightline.trajectory.sight import (
+    Linearised,
+    NoiseAtRange,
+    Reference,
+    RobustStart,
+    determinant,
+    inverse,
+)
+from sightline.types import BoolArray, FloatArray, Positions, Track
+
+_ROUNDS = 4
+_PERSISTENCE = 2.0
+_STATED_DOUBT = 0.15
+"""Standard deviation of the logarithm of a stated variance: nobody states one more exactly."""
+_MEDIAN_CHI2_2 = 2.0 * np.log(2.0)
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """How a target moves and how the measurements of it err.
+
+    Shares are of the stated standard deviation; along the line of sight, and across it.
+
+    Attributes:
+        acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
+        lasting_s: Time constant of the noise that lasts, seconds.
+        white_along: Share that is independent from box to box.
+        white_across: The same, across the line of sight.
+        lasting_along: Share that lasts.
+        lasting_across: The same, across.
+    """
+
+    acceleration_m2ps3: float
+    lasting_s: float
+    white_along: float
+    white_across: float
+    lasting_along: float
+    lasting_across: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            allowed = value >= 0.0 if name.startswith("lasting_a") else value > 0.0
+            if not (allowed and np.isfinite(value)):
+                raise InputError(f"noise model: {name} is {value:g}; expected a positive number")
+
+
+# Normal priors of the logarithms: median and standard deviation. Vessels and vehicles accelerate
+# at 0.1 to 2 m/s², for seconds. The errors of detectors last for half a second to a second; that
+# is held tightly, since what lasts longer cannot be told from a turn. The part that lasts has a
+# low median: where the measurements show none of it, it must fade out.
+_PRIOR_MEDIAN = NoiseModel(0.1, 0.8, 0.8, 0.8, 0.03, 0.03)
+_PRIOR_SD = np.array([2.0, 0.15, 1.0, 1.0, 2.0, 2.0])
+_BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
+_TOTAL_PRIOR_SD = 0.4
+_BOUNDS = [
+    (np.log(1e-4), np.log(30.0)),
+    (np.log(0.1), np.log(5.0)),
+    (np.log(0.03), np.log(20.0)),
+    (np.log(0.03), np.log(20.0)),
+    (np.log(0.003), np.log(20.0)),
+    (np.log(0.003), np.log(20.0)),
+]
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedTrack:
+    """A smoothed target, which can be asked for any time.
+
+    Attributes:
+        noise: What was learned, or was set.
+        used: (N,) bool, of the given rows: those that the track was made of. The others had no
+            position or were taken for outliers.
+        common_along: Share of the stated variance along the line of sight that the scatter of
+            the track does not show, and that is therefore taken for common to all its points.
+        common_across: The same, across.
+    """
+
+    noise: NoiseModel
+    used: BoolArray
+    common_along: float
+    common_across: float
+    _posterior: chain.Posterior
+    _noise_at_range: NoiseAtRange
+    _epoch_utc_s: float
+    _used_utc_s: FloatArray
+    _plane: LocalPlane
+    _longest_gap_s: float
+
+    def at(self, time_utc_s: FloatArray, *, track_id: int = 0, label: str = "") -> Track:
+        """The track at given times.
+
+        Args:
+            time_utc_s: (M,) float64, POSIX seconds, strictly increasing.
+            track_id: Passed on.
+            label: Passed on.
+        """
+        mean, covariance = self._posterior.at(time_utc_s - self._epoch_utc_s)
+        common = self._noise_at_range.common_covariance(
+            mean[:, :2], self.common_along, self.common_across
+        )
+        return Track(
+            track_id=track_id,
+            time_utc_s=time_utc_s,
+            east_m=mean[:, 0],
+            north_m=mean[:, 1],
+            velocity_east_mps=mean[:, 2],
+            velocity_north_mps=mean[:, 3],
+            covariance_m2=covariance[:, :2, :2] + common,
+            velocity_covariance_m2ps2=covariance[:, 2:, 2:],
+            kind=point_kinds(time_utc_s, self._used_utc_s, self._longest_gap_s),
+            plane=self._plane,
+            label=label,
+        )
+
+
+@dataclass(frozen=True)
+class RtsSmoother:
+    """The smoother; without settings it learns what it needs from the track.
+
+    Attributes:
+        noise: Motion and noise; None: learned from each track.
+        gate_probability: A good measurement is kept with this probability; one that is less
+            likely than that, given the track without its outliers, is left out.
+        longest_gap_s: Between measurements further apart than this, points are extrapolated.
+        resolution_s: Measurements closer together than this enter as their mean.
+        speed_mps: Standard deviation of each component of the velocity before any measurement.
+        common_share: Share of the stated variance that is common to all points of a track (the
+            uncertainty of the camera, which time does not average out) and is added to the
+            smoothed covariance. None: that by which the scatter of the measurements falls
+            clearly short of what was stated, none if it does not.
+    """
+
+    noise: NoiseModel | None = None
+    gate_probability: float = 0.999
+    longest_gap_s: float = 15.0
+    resolution_s: float = 0.3
+    speed_mps: float = 10.0
+    common_share: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("longest_gap_s", "resolution_s", "speed_mps"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"rts: {name} is {getattr(self, name):g}; expected above 0")
+        if not 0.0 < self.gate_probability < 1.0:
+            raise InputError(
+                f"rts: gate_probability is {self.gate_probability:g}; expected between 0 and 1"
+            )
+        if self.common_share is not None and not 0.0 <= self.common_share <= 1.0:
+            raise InputError(
+                f"rts: common_share is {self.common_share:g}; expected between 0 and 1"
+            )
+
+    def apply(
+        self,
+        time_utc_s: FloatArray,
+        positions: Positions,
+        *,
+        confidence: FloatArray | None = None,
+        at_utc_s: FloatArray | None = None,
+        track_id: int = 0,
+        label: str = "",
+    ) -> Track:
+        """See `TrajectoryMethod.apply`; confidences are not used, the covariances are."""
+        measured, at = measurements(time_utc_s, positions, confidence, at_utc_s, track_id)
+        return self._smooth(measured, positions).at(at, track_id=track_id, label=label)
+
+    def smooth(
+        self, time_utc_s: FloatArray, positions: Positions, *, track_id: int = 0
+    ) -> SmoothedTrack:
+        """The smoothed target, to be asked for any time.
+
+        Args:
+            time_utc_s: (N,) float64, POSIX seconds.
+            positions: N rows.
+            track_id: For messages.
+
+        Raises:
+            InputError: See `TrajectoryMethod.apply`.
+        """
+        measured, _ = measurements(time_utc_s, positions, None, None, track_id)
+        return self._smooth(measured, positions)
+
+    def _smooth(self, measured: Measurements, positions: Positions) -> SmoothedTrack:
+        epoch = float(measured.time_utc_s[0])
+        time = measured.time_utc_s - epoch
+        noise_at_range = NoiseAtRange.of(measured)
+        reference: Reference = RobustStart.of(time, measured.en_m)
+        noise = self.noise or _BEFORE_LEARNING
+        used = np.ones(time.size, dtype=np.bool_)
+        gate = float(chdtri(2, 1.0 - self.gate_probability))
+        for i in range(_ROUNDS):
+            linear = noise_at_range.linearised(reference.position_at(time))
+            if i == 0:
+                used = linear.start_gate(gate)
+            nodes = linear.nodes(time, used, reference, self.resolution_s)
+            if self.noise is None and i == 1:
+                noise = _learned(nodes, noise, self.speed_mps)
+            posterior = chain.smooth(
+                nodes, _parameters(np.array([list(vars(noise).values())]), self.speed_mps)
+            )
+            reference = posterior
+            if i < _ROUNDS - 1:
+                used = _gate(time, linear, posterior, noise, used, gate)
+        along, across = self._common(noise, nodes)
+        rows = np.zeros(len(positions), dtype=np.bool_)
+        rows[measured.rows[used]] = True
+        return SmoothedTrack(
+            noise=noise,
+            used=rows,
+            common_along=along,
+            common_across=across,
+            _posterior=posterior,
+            _noise_at_range=noise_at_range,
+            _epoch_utc_s=epoch,
+            _used_utc_s=measured.time_utc_s[used],
+            _plane=positions.plane,
+            _longest_gap_s=self.longest_gap_s,
+        )
+
+    def _common(self, noise: NoiseModel, nodes: chain.Nodes) -> tuple[float, float]:
+        if self.common_share is not None:
+            return self.common_share, self.common_share
+        if self.noise is not None:
+            return 0.0, 0.0
+        n = float(nodes.count.sum())
+        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.lasting_s
+        shares = []
+        for white, lasting in (
+            (noise.white_along, noise.lasting_along),
+            (noise.white_across, noise.lasting_across),
+        ):
+            seen = white**2 + lasting**2
+            # Standard deviation of the logarithm of the scatter, as for so many independent draws.
+            spread = np.sqrt(2.0 * (white**4 / n + lasting**4 / min(n, spells))) / seen
+            doubt = float(np.hypot(spread, _STATED_DOUBT))
+            shares.append(max(0.0, 1.0 - seen * float(np.exp(2.0 * doubt))))
+        return shares[0], shares[1]
+
+
+def _logs(noise: NoiseModel) -> FloatArray:
+    return np.log(list(vars(noise).values()))
+
+
+def _parameters(noises: FloatArray, speed_mps: float) -> chain.Parameters:
+    """From rows (K, 6) in the order of the fields of `NoiseModel`."""
+    return chain.Parameters(
+        q_m2ps3=noises[:, 0],
+        tau_s=noises[:, 1],
+        white=noises[:, 2:4],
+        lasting=noises[:, 4:6],
+        speed_mps=speed_mps,
+    )
+
+
+def _gate(
+    time_s: FloatArray,
+    linear: Linearised,
+    posterior: chain.Posterior,
+    noise: NoiseModel,
+    used: BoolArray,
+    gate: float,
+) -> BoolArray:
+    """Which measurements agree with the track that the others make.
+
+    The residual of a generalised least-squares fit has the covariance of the noise less that of
+    the fit; a measurement that was left out has their sum.
+    """
+    residual = linear.residual(posterior.position_at(time_s))
+    nearest = np.clip(np.searchsorted(posterior.time_s, time_s), 0, posterior.time_s.size - 1)
+    fitted = posterior.covariance[nearest, :2, :2]
+    if not used.all():
+        fitted[~used] = posterior.at(time_s[~used])[1][:, :2, :2]
+    total = np.sqrt(
+        [
+            noise.white_along**2 + noise.lasting_along**2,
+            noise.white_across**2 + noise.lasting_across**2,
+        ]
+    )
+    stated = linear.covariance_m2 * total[:, None] * total
+    fitted = linear.axes @ fitted @ np.swapaxes(linear.axes, 1, 2)
+    # The fit of a used measurement is smaller than its noise; for those that share a node that is
+    # only nearly so, and they are held to it.
+    part = inverse(stated) @ fitted
+    half = 0.5 * (part[:, 0, 0] + part[:, 1, 1])
+    largest = half + np.sqrt(np.maximum(half**2 - determinant(part), 0.0))
+    held = np.minimum(1.0, 0.95 / np.maximum(largest, 1e-9))
+    spread = stated + np.where(used, -held, 1.0)[:, None, None] * fitted
+    distance2 = np.einsum("ni,nij,nj->n", residual, inverse(spread), residual)
+    kept = distance2 <= gate * max(1.0, float(np.median(distance2[used])) / _MEDIAN_CHI2_2)
+    return kept if kept.any() else used
+
+
+def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
+    """The noise model with the largest posterior probability given the measurements."""
+    centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
+    nodes = replace(nodes, measured_m=nodes.measured_m - nodes.axes @ centre)
+    start = replace(start, acceleration_m2ps3=start.acceleration_m2ps3 / _PERSISTENCE)
+    median = _logs(_PRIOR_MEDIAN)
+    low, high = np.array(_BOUNDS).T
+    step = 1e-5
+    # About the curvature of the objective, so that the first step has the right length.
+    scale = 1.0 / np.sqrt(0.3 * nodes.time_s.size + _PRIOR_SD**-2.0)
+
+    def objective(scaled: FloatArray) -> tuple[float, FloatArray]:
+        stencil = np.vstack([scaled * scale, scaled * scale + step * np.eye(6)])
+        values = 0.5 * chain.minus_two_log_likelihood(
+            nodes, _parameters(np.exp(stencil), speed_mps)
+        )
+        values += 0.5 * (((stencil - median) / _PRIOR_SD) ** 2).sum(axis=1)
+        total = 0.5 * np.log(np.exp(2.0 * stencil[:, 2:4]) + np.exp(2.0 * stencil[:, 4:6]))
+        values += 0.5 * ((total / _TOTAL_PRIOR_SD) ** 2).sum(axis=1)
+        return float(values[0]), (values[1:] - values[0]) / step * scale
+
+    found = minimize(
+        objective,
+        np.clip(_logs(start), low, high) / scale,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=Bounds(low / scale, high / scale),
+        options={"maxiter": 40, "ftol": 1e-5, "gtol": 0.1},
+    )
+    found.x *= scale
+    learned = NoiseModel(*np.exp(found.x).tolist())
+    # A target holds its turns for seconds. The likelihood weighs its motion where that is seen
+    # best, from one measurement to the next, and understates the slow part, which matters most.
+    return replace(learned, acceleration_m2ps3=_PERSISTENCE * learned.acceleration_m2ps3)
