@@ -1,0 +1,82 @@
+PYTHON ?= python3
+TEST_WORKERS ?= 2
+
+VENV := .venv
+BIN := $(VENV)/bin
+BASE := $(VENV)/.base
+DEV := $(VENV)/.dev
+BENCH := $(VENV)/.bench
+
+PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
+	--constraint constraints.txt --build-constraint constraints.txt
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test test-fast check format bench docs constraints clean
+
+help:  ## say what can be made
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
+	@echo "Another Python: make PYTHON=python3.12 ..."
+
+demo: $(BASE)  ## simulate a harbour, run the whole pipeline on it, say where the results lie
+	$(BIN)/sightline demo
+
+test: $(DEV)  ## run all tests
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS)
+
+test-fast: $(DEV)  ## the same, those that failed last time first, up to the first failure
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) --failed-first --maxfail 1
+
+check: $(DEV)  ## what does not need running: style, format, types, direction of imports
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(DEV)  ## put the code into the form that check wants
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+bench: $(BENCH)  ## measure, beside the peers, what the README quotes
+	@for script in benchmarks/*.py; do \
+		echo "$$script"; \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python "$$script" || exit 1; \
+	done
+
+docs: $(DEV)  ## build the documentation into site/; any broken link is an error
+	$(BIN)/python -m mkdocs build --strict --quiet
+	@echo "The documentation lies in site/index.html"
+
+constraints: $(BASE)  ## renew constraints.txt with the newest versions that fit together
+	$(BIN)/python .ci/renew_constraints.py
+	@echo "Now: make check test, then commit constraints.txt"
+
+clean:  ## remove all that was made, the environment too
+	rm -rf $(VENV) build dist site sightline-demo benchmarks/results
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Some systems ship Python without the part that puts pip into a new environment; the pip beside
+# it can do that as well.
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "sightline \
+	needs Python 3.11 or newer, and $(PYTHON) is older; say which: make PYTHON=python3.12 ...")'
+	@echo "Creating the environment in $(VENV)"
+	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 || { \
+		$(PYTHON) -m venv --clear --without-pip $(VENV) && \
+		$(PYTHON) -m pip --python $(BIN)/python install --quiet --constraint constraints.txt pip; }
+
+$(BASE): pyproject.toml constraints.txt | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--constraint constraints.txt --upgrade pip
+	$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(DEV): $(BASE)
+	$(PIP_INSTALL) --group dev
+	@touch $@
+
+$(BENCH): $(DEV)
+	$(PIP_INSTALL) --group bench
+	@touch $@
