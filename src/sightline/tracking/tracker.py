@@ -1,0 +1,30 @@
+"""The seam of stage 2."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from sightline.types import Boxes
+
+
+class Tracker(Protocol):
+    """What says which boxes are of the same target."""
+
+    def update(self, boxes: Boxes) -> Boxes:
+        """Give the boxes of one moment their track ids.
+
+        Args:
+            boxes: All of one time, later than the boxes before. No boxes tell no time and change
+                nothing.
+
+        Returns:
+            Those boxes that belong to a confirmed track, with its id, in the order given.
+
+        Raises:
+            InputError: Times are not known, differ, or are not later than those before.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Forget all targets, as between recordings; ids go on from where they were."""
+        ...
