@@ -1,1 +1,80 @@
 """The command line: one module a command."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import typer
+from rich.markup import escape
+
+from sightline import __version__
+from sightline.cli import common
+from sightline.cli.compare import compare
+from sightline.cli.demo import demo
+from sightline.cli.evaluate import evaluate
+from sightline.cli.fit import fit
+from sightline.cli.run import run
+from sightline.cli.simulate import simulate
+from sightline.cli.track import track
+from sightline.errors import SightlineError
+
+# What is wrong with a command line: typer brings it along under a private name.
+_CommandError: Any = typer.BadParameter.__mro__[2]
+
+app = typer.Typer(
+    name="sightline",
+    help="Smooth, georeferenced tracks from the video of one camera that nobody calibrated.",
+    no_args_is_help=True,
+    add_completion=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for command in (demo, run, fit, compare, track, evaluate, simulate):
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sightline {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: bool = typer.Option(False, help="Show the traceback of an error."),
+    _version: bool = typer.Option(
+        False, "--version", callback=_print_version, is_eager=True, help="Show the version."
+    ),
+) -> None:
+    common.settings.debug = debug
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit: 0 on success, 2 on bad input, 1 on a bug."""
+    sys.exit(_run(arguments))
+
+
+def _run(arguments: list[str] | None) -> int:
+    try:
+        status = app(args=arguments, standalone_mode=False)
+    except SightlineError as error:
+        if common.settings.debug:
+            raise
+        return _refuse(str(error))
+    except _CommandError as error:
+        return _refuse(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        common.stderr.print("stopped")
+        return 130
+    except BrokenPipeError:
+        # Whoever read the output has read enough.
+        sys.stdout = None
+        return 0
+    return status if isinstance(status, int) else 0
+
+
+def _refuse(message: str) -> int:
+    line = " ".join(message.split())
+    common.stderr.print(f"[bold red]error:[/] {escape(line)}", soft_wrap=True, highlight=False)
+    return 2

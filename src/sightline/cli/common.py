@@ -1,0 +1,122 @@
+"""What the commands share: consoles, progress, and results as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from sightline.errors import InputError
+from sightline.evaluation.comparison import number, percent
+from sightline.evaluation.report import Report, write_json
+from sightline.pipeline import Progress as Tell
+
+stdout = Console()
+stderr = Console(stderr=True)
+
+
+@dataclass
+class Settings:
+    """What holds for every command.
+
+    Attributes:
+        debug: Show tracebacks of errors that are the user's.
+    """
+
+    debug: bool = False
+
+
+settings = Settings()
+
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+]
+SeedOption = Annotated[int, typer.Option(help="Of whatever is random.")]
+ModelNameOption = Annotated[
+    str, typer.Option("--model", help="nn, gpr, qkr, qkr+nn, qkr+gpr, camera or camera+gpr.")
+]
+
+
+def say(line: str = "") -> None:
+    """Print a line as it is, however wide the terminal."""
+    stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+@contextmanager
+def progress() -> Iterator[Tell]:
+    """A progress line on standard error, gone when the work is done."""
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=stderr, transient=True) as bars:
+        task = bars.add_task("starting", total=None)
+
+        def tell(what: str, share: float) -> None:
+            known = math.isfinite(share)
+            bars.update(
+                task,
+                description=what,
+                total=1.0 if known else None,
+                completed=share if known else 0.0,
+            )
+
+        yield tell
+
+
+def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
+    """Write a command's result where ``--json`` says, if it does."""
+    if path is not None:
+        write_json(path, content)
+
+
+def check_folder(path: Path) -> Path:
+    """A folder that results can go to; it may not exist yet.
+
+    Raises:
+        InputError: There is a file of that name, or the folder cannot be made.
+    """
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is a file; give a folder for the results")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made: {error.strerror}") from error
+    return path
+
+
+def parse_time(text: str | None) -> float | None:
+    """POSIX seconds of an ISO 8601 time; UTC where it names no zone.
+
+    Raises:
+        InputError: It is none.
+    """
+    if text is None:
+        return None
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InputError(
+            f"--start-utc {text!r} is no time; expected for example 2020-09-30T19:36:24Z"
+        ) from error
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def describe(report: Report, what: str) -> str:
+    """A report in a line or two."""
+    ape, cover = report.ape, report.coverage
+    return (
+        f"{what}: {ape.n} pairs, RMSE {number(ape.rmse)} m, median {number(ape.median)} m, "
+        f"90 % within {number(ape.p90)} m, {percent(ape.per_range)} of the range; "
+        f"95 % ellipses hold {percent(cover.p95)}"
+    )

@@ -1,0 +1,60 @@
+"""`sightline compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import JsonOption, SeedOption, progress, say, stdout
+from sightline.evaluation.comparison import overview_table, paper_table
+from sightline.evaluation.page import write_page
+from sightline.evaluation.plots import MapPanel, map_figure, save_figure
+from sightline.inference.georeferencer import MODELS
+from sightline.pipeline import compare as compare_models
+from sightline.reporting import compare_page, single_pairs
+from sightline.scene import Scene
+
+
+def compare(
+    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    models: Annotated[
+        str, typer.Option(help="Names of models, with commas between them.")
+    ] = ",".join(MODELS),
+    trajectory: Annotated[
+        str | None,
+        typer.Option(
+            help="paper or rts, after every model; absent: the paper's chain after the paper's "
+            "models, the smoother after ours."
+        ),
+    ] = None,
+    map_file: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="FILE", help="Map plots like the paper's Figure 3."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A report as one HTML file.")
+    ] = None,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Leave one recording out at a time, and print the paper's Table 2."""
+    names = tuple(name.strip() for name in models.split(",") if name.strip())
+    loaded = Scene.load(scene)
+    with progress() as tell:
+        result, placed = compare_models(
+            loaded, names, trajectory=trajectory, seed=seed, progress=tell
+        )
+    stdout.print(overview_table(result, "single boxes, each recording left out"))
+    stdout.print(paper_table(result.models, "without the trajectory stage"))
+    stdout.print(paper_table(result.smoothed, "with the trajectory stage"))
+    if map_file is not None:
+        panels = [MapPanel(name, single_pairs(parts)) for name, parts in placed.items()]
+        save_figure(map_figure(panels), map_file)
+        say(f"map: {map_file}")
+    if report is not None:
+        write_page(compare_page(result, placed, loaded.camera.name or scene.stem), report)
+        say(f"report: {report}")
+    if json is not None:
+        result.write(json)

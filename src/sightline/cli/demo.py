@@ -1,0 +1,81 @@
+"""`sightline demo`."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import (
+    JsonOption,
+    SeedOption,
+    check_folder,
+    progress,
+    say,
+    write_result,
+)
+from sightline.cli.run import result_dict, tell_result
+from sightline.pipeline import run as run_scene
+from sightline.reporting import write_run
+from sightline.scene import Scene
+from sightline.simulation.simulate import simulate as simulate_harbour
+
+
+def demo(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where everything goes.")
+    ] = Path("sightline-demo"),
+    duration_s: Annotated[
+        float, typer.Option("--duration", help="Of each of the three videos, seconds.")
+    ] = 60.0,
+    seed: SeedOption = 1,
+    json: JsonOption = None,
+) -> None:
+    """Simulate a harbour, run the whole pipeline on it, and say where the results lie.
+
+    The camera is learned from the boxes and the log of two recordings; the third is given as a
+    video alone, in which a detector has to find the boats.
+    """
+    folder = check_folder(output)
+    with progress() as tell:
+        made = simulate_harbour(
+            folder / "harbour",
+            seed=seed,
+            duration_s=duration_s,
+            progress=lambda share: tell("rendering the harbour", share),
+        )
+        scene = Scene.load(_without_boxes(made.scene, made.recordings[-1].name))
+        result = run_scene(scene, seed=seed, progress=tell)
+        tell("writing the results", float("nan"))
+        paths = write_run(result, folder / "results")
+    say(f"A harbour was simulated in {folder / 'harbour'}.")
+    camera = result.model.camera
+    truth = made.harbour.camera
+    if camera is not None:
+        say(
+            f"camera: height {camera.height_m:.2f} m (true {truth.height_m:.2f}), focal length "
+            f"{camera.focal_px:.0f} px (true {truth.focal_length_px:.0f}), pitch {camera.pitch_deg:.2f} "
+            f"degrees (true {truth.pitch_deg:.2f})"
+        )
+    tell_result(result, paths)
+    say(f"\nOpen {paths['report']} in a browser.")
+    write_result(json, result_dict(result, paths))
+
+
+def _without_boxes(scene: Path, name: str) -> Path:
+    """A copy of the scene in which a recording has its video and its log alone."""
+    lines, current = [], ""
+    for line in scene.read_text(encoding="utf-8").splitlines():
+        key = line.partition("=")[0].strip()
+        if line.strip().startswith("["):
+            current = ""
+        elif key == "name":
+            current = str(tomllib.loads(line)["name"])
+        if current == name and key in ("boxes", "detections"):
+            continue
+        lines.append(line)
+    out = scene.with_name("scene-demo.toml")
+    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return out

@@ -1,0 +1,83 @@
+"""`sightline evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import JsonOption, describe, say
+from sightline.errors import InputError
+from sightline.evaluation.report import Report
+from sightline.inference.model_file import load_model
+from sightline.pipeline import DEFAULT_TRAJECTORY
+from sightline.pipeline import evaluate as evaluate_any
+from sightline.scene import Scene
+from sightline.tracks import Tracks
+
+
+def evaluate(
+    what: Annotated[
+        Path, typer.Argument(metavar="TRACKS|SCENE", help="Tracks in a file, or a scene (.toml).")
+    ],
+    fixes: Annotated[
+        Path | None, typer.Option(metavar="LOG", help="The log that tracks are scored against.")
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL",
+            help="The fitted model that a scene's boxes are scored with; for tracks, tells where "
+            "the camera stands.",
+        ),
+    ] = None,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Score the trajectories made of a scene's boxes.")
+    ] = False,
+    trajectory: Annotated[
+        str, typer.Option(help="How --smooth makes them: rts or paper.")
+    ] = DEFAULT_TRAJECTORY,
+    track_id: Annotated[
+        int | None, typer.Option(help="Which track is the target; absent: the nearest to the log.")
+    ] = None,
+    mmsi: Annotated[int | None, typer.Option(help="Which vessel of an AIS log.")] = None,
+    delta_s: Annotated[
+        float, typer.Option("--delta", help="Time of the relative error, seconds.", min=1e-3)
+    ] = 1.0,
+    json: JsonOption = None,
+) -> None:
+    """Score tracks against a log, or a fitted model against a scene's boxes and logs."""
+    if what.suffix.lower() == ".toml":
+        if model is None:
+            raise InputError("a scene is scored with a fitted model; give --model MODEL")
+        if fixes is not None:
+            raise InputError("a scene names its own logs; give --fixes with tracks only")
+        report = evaluate_any(
+            Scene.load(what),
+            model=load_model(model),
+            smooth=smooth,
+            trajectory=trajectory,
+            delta_s=delta_s,
+        )
+        _print(report, "trajectories" if smooth else "single boxes")
+    else:
+        if fixes is None:
+            raise InputError("tracks are scored against a log; give --fixes LOG")
+        plane = load_model(model).plane if model is not None else None
+        tracks = Tracks.read(what, plane=plane)
+        report = evaluate_any(tracks, fixes=fixes, track_id=track_id, mmsi=mmsi, delta_s=delta_s)
+        if plane is None:
+            report = report.without_camera()
+        _print(report, "tracks")
+        if report.tracks is not None:
+            used = ", ".join(str(number) for number in report.tracks.used)
+            say(f"track {used}, chosen by {report.tracks.chosen_by}")
+    if json is not None:
+        report.write(json)
+
+
+def _print(report: Report, what: str) -> None:
+    say(describe(report, what))
+    for name, part in report.recordings.items():
+        say("  " + describe(part, name))

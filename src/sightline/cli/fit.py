@@ -1,0 +1,62 @@
+"""`sightline fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import (
+    JsonOption,
+    ModelNameOption,
+    SeedOption,
+    progress,
+    say,
+    write_result,
+)
+from sightline.inference.georeferencer import DEFAULT_MODEL
+from sightline.inference.georeferencer import fit as fit_scene
+from sightline.scene import Scene
+
+
+def fit(
+    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="MODEL", help="Where the model goes.")
+    ],
+    model: ModelNameOption = DEFAULT_MODEL,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Learn where a box in the image lies on the earth."""
+    with progress() as tell:
+        tell(f"fitting {model}", float("nan"))
+        fitted = fit_scene(Scene.load(scene), model, seed=seed)
+        fitted.save(output)
+    report = fitted.report
+    points = f"{report.control_points} control points"
+    if report.n:
+        more = f" and {points}" if report.control_points else ""
+        say(
+            f"{model}: learned from {report.n} of {report.asked} boxes{more}; they lie "
+            f"{report.rmse_m:.1f} m RMSE, {report.median_m:.1f} m in the median from the log"
+        )
+    else:
+        say(f"{model}: learned from {points}")
+    for parameter in report.parameters:
+        mark = "" if parameter.determined else "  (not determined by the data)"
+        say(
+            f"  {parameter.name:12} {parameter.value:9.3f} ± {parameter.sigma:.3f} "
+            f"{parameter.unit}{mark}"
+        )
+    for source in report.sources:
+        say(
+            f"  boxes of {source.name or 'unnamed'!s}: lower edge {source.bias_m:+.2f} ± "
+            f"{source.sigma_m:.2f} m above the waterline, {source.bias_px:+.1f} ± "
+            f"{source.sigma_px:.1f} px"
+        )
+    for statement in report.statements:
+        say(f"note: {statement}")
+    say(f"model: {output}")
+    write_result(json, {"model": str(output), "fit": report.to_dict()})

@@ -1,0 +1,80 @@
+"""`sightline run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sightline.cli.common import (
+    JsonOption,
+    ModelNameOption,
+    SeedOption,
+    check_folder,
+    describe,
+    progress,
+    say,
+    write_result,
+)
+from sightline.inference.georeferencer import DEFAULT_MODEL
+from sightline.pipeline import DEFAULT_TRAJECTORY, RunResult, TrackSettings
+from sightline.pipeline import run as run_scene
+from sightline.reporting import write_run
+from sightline.scene import Scene
+
+
+def run(
+    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where the results go.")
+    ],
+    model: ModelNameOption = DEFAULT_MODEL,
+    detector: Annotated[str, typer.Option(help="Where there are no boxes.")] = "motion",
+    trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
+    interval_s: Annotated[
+        float | None,
+        typer.Option("--interval", help="Seconds between points; absent: a point a box."),
+    ] = None,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """The main job: detect where there are no boxes, fit, track, smooth, evaluate."""
+    loaded = Scene.load(scene)
+    folder = check_folder(output)
+    with progress() as tell:
+        result = run_scene(
+            loaded,
+            model=model,
+            detector=detector,
+            settings=TrackSettings(trajectory=trajectory, interval_s=interval_s),
+            seed=seed,
+            progress=tell,
+        )
+        tell("writing the results", float("nan"))
+        paths = write_run(result, folder)
+    tell_result(result, paths)
+    write_result(json, result_dict(result, paths))
+
+
+def tell_result(result: RunResult, paths: dict[str, Path]) -> None:
+    """Say what came out, and where it lies."""
+    if result.single is not None:
+        say(describe(result.single, "single boxes"))
+    if result.smoothed is not None:
+        say(describe(result.smoothed, "smoothed tracks"))
+    for note in (*result.notes, *result.model.report.statements):
+        say(f"note: {note}")
+    for what, path in paths.items():
+        say(f"{what + ':':9} {path}")
+
+
+def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, Any]:
+    """The result as JSON has it: the report of the tracks, that of single boxes, and the files."""
+    out: dict[str, Any] = result.smoothed.to_dict() if result.smoothed is not None else {}
+    out["single"] = result.single.to_dict() if result.single is not None else None
+    out["left_out"] = result.left_out
+    out["files"] = {what: str(path) for what, path in paths.items()}
+    out["tracks_per_recording"] = {name: len(tracks) for name, tracks in result.tracks.items()}
+    out["notes"] = [*result.notes, *result.model.report.statements]
+    return out

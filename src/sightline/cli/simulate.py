@@ -1,0 +1,52 @@
+"""`sightline simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import (
+    JsonOption,
+    SeedOption,
+    check_folder,
+    progress,
+    say,
+    write_result,
+)
+from sightline.simulation.simulate import ClockKind
+from sightline.simulation.simulate import simulate as simulate_harbour
+
+
+def simulate(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Where the harbour goes.")
+    ],
+    recordings: Annotated[int, typer.Option(help="How many videos.")] = 3,
+    duration_s: Annotated[float, typer.Option("--duration", help="Of each, seconds.")] = 60.0,
+    rate_hz: Annotated[float, typer.Option("--rate", help="Frames a second.")] = 12.0,
+    clock: Annotated[
+        str, typer.Option(help="How the scene tells times: start, exact or stepped.")
+    ] = "start",
+    video: Annotated[bool, typer.Option(help="Render the videos.")] = True,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Write a synthetic harbour: videos, clocks, boxes, logs, the truth, and a scene."""
+    kind: ClockKind = clock  # type: ignore[assignment]
+    with progress() as tell:
+        made = simulate_harbour(
+            check_folder(output),
+            seed=seed,
+            recordings=recordings,
+            duration_s=duration_s,
+            rate_hz=rate_hz,
+            clock=kind,
+            video=video,
+            progress=lambda share: tell("rendering", share),
+        )
+    say(f"scene: {made.scene}")
+    write_result(
+        json, {"scene": str(made.scene), "recordings": [one.name for one in made.recordings]}
+    )

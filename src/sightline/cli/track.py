@@ -1,0 +1,72 @@
+"""`sightline track`."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline import formats
+from sightline.cli.common import JsonOption, parse_time, progress, say, write_result
+from sightline.errors import InputError
+from sightline.inference.model_file import load_model
+from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
+
+
+def track(
+    source: Annotated[
+        str,
+        typer.Argument(help="A video, a folder of frames, a stream, or a table of boxes."),
+    ],
+    model: Annotated[Path, typer.Option(metavar="MODEL", help="The fitted model.")],
+    output: Annotated[
+        list[Path],
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Where the tracks go, as often as you like: .geojson, .gpx, .kml, .csv, .parquet "
+            "or .gpkg.",
+        ),
+    ],
+    start_utc: Annotated[
+        str | None, typer.Option(metavar="TIME", help="When a video begins, ISO 8601.")
+    ] = None,
+    clock: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A table frame,utc that tells the times.")
+    ] = None,
+    detector: Annotated[str, typer.Option(help="Finds boxes in frames.")] = "motion",
+    trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
+    interval_s: Annotated[
+        float | None,
+        typer.Option("--interval", help="Seconds between points; absent: a point a box."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Make smooth tracks of everything in a video, a stream or a table of boxes."""
+    fitted = load_model(model)
+    if "://" not in source and not Path(source).exists():
+        raise InputError(f"{source}: there is no such video, folder or table")
+    settings = TrackSettings(trajectory=trajectory, interval_s=interval_s)
+    times = formats.read_clock(clock) if clock is not None else None
+    count, points = 0, 0
+    with ExitStack() as stack, progress() as tell:
+        writers = [stack.enter_context(formats.track_writer(path)) for path in output]
+        for made in iter_tracks(
+            source,
+            fitted,
+            detector=detector,
+            clock=times,
+            start_utc_s=parse_time(start_utc),
+            settings=settings,
+            progress=tell,
+        ):
+            count, points = count + 1, points + len(made)
+            for writer in writers:
+                writer.add(made)
+    say(f"{count} tracks, {points} points")
+    for path in output:
+        say(f"tracks: {path}")
+    write_result(json, {"tracks": count, "points": points, "files": [str(path) for path in output]})
