@@ -147,7 +147,7 @@ class Renderer:
             if visible[i]:
                 layer.fill(points[model.faces[i]], values[i])
         if mirrored:
-            layer.ripple(time_s, opacity=0.30)
+            layer.ripple(time_s, opacity=0.24)
         layer.blend_into(picture)
 
     def _draw_wake(self, picture: Image, boat: Boat, time_s: float) -> None:

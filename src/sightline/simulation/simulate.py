@@ -106,6 +106,7 @@ def simulate(
     start_utc_s: float = START_UTC_S,
     clock: ClockKind = "start",
     annotation_interval_s: float = 0.5,
+    unlabelled: int = 0,
     annotator: BoxNoise = ANNOTATOR,
     detector: BoxNoise = DETECTOR,
     receiver: ReceiverNoise | None = None,
@@ -142,11 +143,13 @@ def simulate(
         clock: How the scene tells the times: ``"start"`` of each video plus its presentation
             times; an ``"exact"`` table; or a table ``"stepped"`` every `CLOCK_STEP_S`.
         annotation_interval_s: Time between two boxes of the annotator.
+        unlabelled: How many recordings, the last ones, have a video and a log alone: no boxes and
+            no detections in the scene.
         annotator: Noise of the boxes.
         detector: Noise of the detections.
         receiver: Noise of the target's log; absent: 1.5 m, a fix a second, some dropouts.
         look: What is drawn.
-        video: Whether to render at all; the rest is done in a second.
+        video: Whether to render at all; without, the clock is a table.
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -157,6 +160,19 @@ def simulate(
         raise unknown_name("clock", clock, kinds)
     size = image_size_px if camera is None else camera.image_size_px
     _check(recordings, duration_s, rate_hz, size)
+    if clock == "stepped" and duration_s < 3.0 * CLOCK_STEP_S:
+        raise InputError(
+            f"a clock that steps every {CLOCK_STEP_S:g} s cannot tell the times of a recording of "
+            f"{duration_s:g} s; make it {3.0 * CLOCK_STEP_S:g} s or longer"
+        )
+    if not 0 <= unlabelled <= (recordings if video else 0):
+        raise InputError(
+            f"{unlabelled} recordings without boxes were asked for, of {recordings} "
+            f"{'with' if video else 'without'} a video; a recording needs one or the other"
+        )
+    if not video and clock == "start":
+        # Without presentation times only a table tells when a frame was.
+        clock = "exact"
     folder = Path(directory)
     # A log that begins before the video and ends after it leaves no frame without a place.
     lead_s = 2.0
@@ -193,7 +209,7 @@ def simulate(
     _write_truth(folder, harbour, shot, settings)
     if video:
         _write_videos(folder, harbour, shot, look, progress)
-    _write_text(folder / "scene.toml", _scene(harbour, shot, clock, video))
+    _write_text(folder / "scene.toml", _scene(harbour, shot, clock, video, unlabelled))
     return Simulation(folder / "scene.toml", harbour, tuple(shot))
 
 
@@ -422,7 +438,9 @@ def _ahead(paint: Callable[[float], Image], times: FloatArray, depth: int = 4) -
             yield waiting.popleft().result()
 
 
-def _scene(harbour: Harbour, shot: list[Recording], clock: ClockKind, video: bool) -> str:
+def _scene(
+    harbour: Harbour, shot: list[Recording], clock: ClockKind, video: bool, unlabelled: int
+) -> str:
     width, height = harbour.camera.image_size_px
     lines = [
         f"# A synthetic harbour, seed {harbour.seed}. The truth lies in truth.json and truth.csv.",
@@ -432,7 +450,7 @@ def _scene(harbour: Harbour, shot: list[Recording], clock: ClockKind, video: boo
         f"longitude_deg = {harbour.plane.longitude_deg!r}",
         f"image_size_px = [{width}, {height}]",
     ]
-    for recording in shot:
+    for i, recording in enumerate(shot):
         name = recording.name
         lines += ["", "[[recordings]]", f'name = "{name}"']
         if video:
@@ -441,11 +459,10 @@ def _scene(harbour: Harbour, shot: list[Recording], clock: ClockKind, video: boo
             lines.append(f"start_utc = {_iso(recording.time_utc_s[:1])[0]}")
         else:
             lines.append(f'clock = "clock/{name}.csv"')
-        lines += [
-            f'boxes = "boxes/{name}.csv"',
-            f'detections = "detections/{name}.csv"',
-            'fixes = "target.gpx"',
-        ]
+        if i < len(shot) - unlabelled:
+            lines.append(f'boxes = "boxes/{name}.csv"')
+            lines.append(f'detections = "detections/{name}.csv"')
+        lines.append('fixes = "target.gpx"')
     return "\n".join(lines) + "\n"
 
 
