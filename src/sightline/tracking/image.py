@@ -28,7 +28,7 @@ class ImageTrackerSettings:
     Attributes:
         confirm_s: A target counts once it has been followed for this long.
         coast_s: A confirmed target is kept for this long without a box: behind a post, say.
-        coast_unconfirmed_s: The same for one that is not confirmed.
+        coast_unconfirmed_s: The same for one that is not confirmed, once it was missed.
         gate: Largest distance between a predicted and a found centre, in standard deviations.
         least_overlap: A box that overlaps the predicted one by less (intersection over union) is
             taken only inside the gate.
@@ -143,8 +143,8 @@ class ImageTracker:
                 f"boxes come {self._time_s - time_s:g} s before those seen last; a tracker takes "
                 "them in the order of time, and is reset between recordings"
             )
-        self._time_s = time_s
         self._targets = [target for target in self._targets if not self._gone(target, time_s)]
+        self._time_s = time_s
         for target in self._targets:
             target.predict(time_s)
         owner = self._assign(boxes.xyxy_px)
@@ -158,9 +158,11 @@ class ImageTracker:
         return boxes.with_columns(track_id=ids)[ids != NO_TRACK]
 
     def _gone(self, target: _Target, time_s: float) -> bool:
-        confirmed = target.track_id != NO_TRACK
-        limit = self._settings.coast_s if confirmed else self._settings.coast_unconfirmed_s
-        return time_s - target.last_s > limit
+        if target.track_id != NO_TRACK:
+            return time_s - target.last_s > self._settings.coast_s
+        # With few frames a second, the next one is not late.
+        missed = target.last_s < self._time_s
+        return missed and time_s - target.last_s > self._settings.coast_unconfirmed_s
 
     def _confirmed_id(self, target: _Target, time_s: float) -> int:
         if target.track_id == NO_TRACK and time_s - target.first_s >= self._settings.confirm_s:
