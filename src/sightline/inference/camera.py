@@ -12,7 +12,9 @@ The curvature of the earth is left out: over 2 km it is 0.3 m.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,8 +39,12 @@ A parameter vector holds them as the fit sees them: the logarithms of height and
 angles in radians.
 """
 
+BY_ROW, BY_ABOVE, BY_COLUMN = len(PARAMETERS), len(PARAMETERS) + 1, len(PARAMETERS) + 2
+"""Where `Located.derivatives` holds those by the pixel's row, the height and the column."""
+
 _NEAREST = 1e-6
 _NEWTON_STEPS = 8
+_NEWTON_ENOUGH = 1e-14
 
 
 @dataclass(frozen=True)
@@ -111,7 +117,12 @@ class Camera:
             ]
         )
 
-    @property
+    @cached_property
+    def rotation(self) -> FloatArray:
+        """(3, 3) float64, from east, north, up to the camera's right, down and forward."""
+        return rotation_matrix(self.to_vector())
+
+    @cached_property
     def largest_radius(self) -> float:
         """The normalised radius, undistorted, beyond which the lens model folds back on itself.
 
@@ -157,12 +168,8 @@ class Camera:
             the lens model has folded.
         """
         pixel = np.atleast_2d(np.asarray(pixel_px, dtype=float))
-        width, height = self.image_size_px
-        x_d = (pixel[:, 0] - 0.5 * width) / self.focal_px
-        y_d = (pixel[:, 1] - 0.5 * height) / self.focal_px
-        scale = self._undistortion(np.sqrt(x_d * x_d + y_d * y_d))
-        x, y = x_d * scale, y_d * scale
-        rotation = rotation_matrix(self.to_vector())
+        x, y = self._undistorted(pixel[:, 0], pixel[:, 1])
+        rotation = self.rotation
         down = -(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2])
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = np.where(down > 0.0, (self.height_m - np.asarray(above_m)) / down, np.nan)
@@ -170,28 +177,35 @@ class Camera:
         north = reach * (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1])
         return self.east_m + east, self.north_m + north
 
-    def _undistortion(self, distorted: FloatArray) -> FloatArray:
-        """What to multiply distorted normalised coordinates with, (N,); NaN beyond the fold."""
+    def _undistorted(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Normalised coordinates of pixels without distortion, (N,); NaN beyond the fold."""
+        width, height = self.image_size_px
+        x = (x_px - 0.5 * width) / self.focal_px
+        y = (y_px - 0.5 * height) / self.focal_px
+        distorted = np.sqrt(x * x + y * y)
         limit = self.largest_radius
-        top = limit * (1.0 + self.k1 * limit**2 + self.k2 * limit**4) if np.isfinite(limit) else 0.0
-        inside = distorted < top if np.isfinite(limit) else np.isfinite(distorted)
-        radius = np.minimum(distorted, limit)
+        finite = np.isfinite(limit)
+        top = limit * (1.0 + self.k1 * limit**2 + self.k2 * limit**4) if finite else np.inf
+        radius = np.minimum(distorted, limit) if finite else distorted
         for _ in range(_NEWTON_STEPS):
             square = radius * radius
-            value = radius * (1.0 + square * (self.k1 + square * self.k2)) - distorted
-            slope = 1.0 + square * (3.0 * self.k1 + 5.0 * square * self.k2)
+            bent = self.k2 * square
+            value = radius * (1.0 + square * (self.k1 + bent)) - distorted
+            slope = 1.0 + square * (3.0 * self.k1 + 5.0 * bent)
             step = value / np.maximum(slope, 0.05)
-            radius = np.clip(radius - step, 0.0, limit)
+            radius = np.minimum(np.maximum(radius - step, 0.0), limit)
+            if np.abs(step).max(initial=0.0) < _NEWTON_ENOUGH:
+                break
         with np.errstate(invalid="ignore", divide="ignore"):
             scale = np.where(distorted > 0.0, radius / distorted, 1.0)
-        return np.where(inside, scale, np.nan)
+        scale[~(distorted < top)] = np.nan
+        return x * scale, y * scale
 
     def horizon_y_px(self, x_px: ArrayLike) -> FloatArray:
         """The row of the horizon at given columns, (N,) float64; NaN where it cannot be seen."""
         columns = np.atleast_1d(np.asarray(x_px, dtype=float))
-        rotation = rotation_matrix(self.to_vector())
         bearings = np.radians(self.heading_deg) + np.linspace(-1.4, 1.4, 721)
-        directions = rotation @ np.stack(
+        directions = self.rotation @ np.stack(
             [np.sin(bearings), np.cos(bearings), np.zeros_like(bearings)]
         )
         ahead = directions[2] > 0.05
@@ -315,3 +329,93 @@ def project_with_jacobian(
     by_parameter[:, :, 7] = -by_point[:, :, 0]
     by_parameter[:, :, 8] = -by_point[:, :, 1]
     return pixel, by_parameter, by_point
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Places of pixels as seen from the camera, and how they move with all that is uncertain.
+
+    Attributes:
+        distance_m: (N,) from the camera along the plane; NaN where there is no place.
+        sine: (N,) of the bearing from the camera, clockwise from north.
+        cosine: (N,) of the bearing.
+        derivatives: (12, 2, N) metres along and across the line of sight (across is positive
+            clockwise) by each of `PARAMETERS`, by the pixel's row (`BY_ROW`), by the height of the
+            plane (`BY_ABOVE`) and by the pixel's column (`BY_COLUMN`).
+    """
+
+    distance_m: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+    derivatives: FloatArray
+
+
+def locate_with_jacobian(
+    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: float
+) -> Located:
+    """Places of pixels and their derivatives: `Camera.locate`, for the propagation of uncertainty.
+
+    The derivatives are closed forms of the inverse projection, so that no system of equations is
+    solved for a pixel.
+
+    Args:
+        camera: The camera.
+        x_px: (N,) columns.
+        y_px: (N,) rows.
+        above_m: Metres of the plane over the ground.
+    """
+    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = camera.rotation.tolist()
+    k1, k2 = camera.k1, camera.k2
+    height = camera.height_m - above_m
+    x, y = camera._undistorted(x_px, y_px)
+    down = -(r02 * x + r12 * y + r22)
+    down[~(down > 0.0)] = np.nan
+    east, north = r00 * x + r10 * y + r20, r01 * x + r11 * y + r21
+    level = np.sqrt(east * east + north * north)
+    sine, cosine = east / level, north / level
+    reach = height / down
+    distance = reach * level
+
+    out = np.empty((len(PARAMETERS) + 3, 2, x.size))
+    out[0, 0], out[0, 1] = distance * (camera.height_m / height), 0.0
+    out[BY_ABOVE, 0], out[BY_ABOVE, 1] = distance * (-1.0 / height), 0.0
+    # Along and across by the normalised coordinates: the ray turns, and it reaches further.
+    further = distance / down
+    x_along = reach * (r00 * sine + r01 * cosine) + r02 * further
+    y_along = reach * (r10 * sine + r11 * cosine) + r12 * further
+    x_across = reach * (r00 * cosine - r01 * sine)
+    y_across = reach * (r10 * cosine - r11 * sine)
+
+    # Pitch turns every ray about the level line to the right of the camera.
+    (sin_h, cos_h), (sin_p, cos_p), (sin_r, cos_r) = (
+        (math.sin(angle), math.cos(angle))
+        for angle in map(math.radians, (camera.heading_deg, camera.pitch_deg, camera.roll_deg))
+    )
+    aside = sin_r * x - cos_r * y
+    ahead = reach * (cos_p * aside - sin_p)
+    out[1, 0] = ahead * (sin_h * sine + cos_h * cosine) - further * (sin_p * aside + cos_p)
+    out[1, 1] = ahead * (sin_h * cosine - cos_h * sine)
+    # Roll moves (x, y) by (y, -x).
+    out[2, 0] = y * x_along - x * y_along
+    out[2, 1] = y * x_across - x * y_across
+    out[3, 0], out[3, 1] = 0.0, distance
+    # Focal length and distortion move a ray radially in the image.
+    square = x * x + y * y
+    stretch = 1.0 + square * (k1 + square * k2)
+    slope = 2.0 * (k1 + 2.0 * k2 * square)
+    radial = -1.0 / (stretch + slope * square)
+    out[5, 0] = (x * x_along + y * y_along) * radial
+    out[5, 1] = (x * x_across + y * y_across) * radial
+    np.multiply(out[5], stretch, out=out[4])
+    # By the pixel: the inverse of the lens's own derivative.
+    per_pixel = 1.0 / (camera.focal_px * stretch)
+    bent = slope * per_pixel
+    bent_x, bent_y = bent * x, bent * y
+    for i, (by_x, by_y) in enumerate(((x_along, y_along), (x_across, y_across))):
+        out[BY_COLUMN, i] = per_pixel * by_x + bent_x * out[5, i]
+        out[BY_ROW, i] = per_pixel * by_y + bent_y * out[5, i]
+    out[5] *= square
+    np.multiply(out[5], square, out=out[6])
+    out[7, 0], out[7, 1] = sine, cosine
+    out[8, 0], out[8, 1] = cosine, -sine
+    return Located(distance, sine, cosine, out)

@@ -136,9 +136,18 @@ class PixelNoise:
         Args:
             pixels_per_metre: (N,) how large a metre at the target looks.
         """
+        column, row = self.variances_px2(np.square(pixels_per_metre))
+        return np.sqrt(column), np.sqrt(row)
+
+    def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Variances of column and row, square pixels, each (N,).
+
+        Args:
+            squared_pixels_per_metre: (N,) the square of how large a metre at the target looks.
+        """
         return (
-            np.hypot(self.column_px, self.column_m * pixels_per_metre),
-            np.hypot(self.row_px, self.row_m * pixels_per_metre),
+            self.column_px**2 + self.column_m**2 * squared_pixels_per_metre,
+            self.row_px**2 + self.row_m**2 * squared_pixels_per_metre,
         )
 
     def scaled(self, factor: float) -> PixelNoise:

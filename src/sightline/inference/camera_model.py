@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
@@ -10,7 +12,12 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
 from sightline.errors import FitError, InputError
-from sightline.inference.camera import Camera, project_with_jacobian
+from sightline.inference.camera import (
+    BY_COLUMN,
+    BY_ROW,
+    Camera,
+    locate_with_jacobian,
+)
 from sightline.inference.camera_fit import (
     NO_SOURCE,
     SOURCE_PARAMETERS,
@@ -35,7 +42,8 @@ LARGEST_RELATIVE_SIGMA = 0.5
 
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
 _N = 9
-_CHUNK = 8192
+# So that what is known of a chunk stays in a core's own cache.
+_CHUNK = 1024
 
 
 class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -162,10 +170,10 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             and where the range would be less certain than half of itself. With ``return_cov``
             also (N, 2, 2) square metres: parameters of the camera, noise of the box, residual.
         """
-        check_is_fitted(self, "fit_")
+        if not hasattr(self, "fit_"):
+            check_is_fitted(self, "fit_")
         boxes = np.asarray(X, dtype=np.float64)
-        places = np.full((len(boxes), 2), np.nan)
-        covariance = np.full((len(boxes), 2, 2), np.nan)
+        places, covariance = np.empty((len(boxes), 2)), np.empty((len(boxes), 2, 2))
         if source is None or np.ndim(source) == 0:
             parts: list[tuple[str, IntArray | None]] = [(str(source or ""), None)]
         else:
@@ -175,8 +183,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             count = len(boxes) if rows is None else len(rows)
             for start in range(0, count, _CHUNK):
                 part = slice(start, start + _CHUNK)
-                chosen = part if rows is None else rows[part]
-                places[chosen], covariance[chosen] = self._place(boxes[chosen], name)
+                if rows is None:
+                    self._place(boxes[part], name, places[part], covariance[part])
+                    continue
+                chosen = rows[part]
+                where, spread = np.empty((chosen.size, 2)), np.empty((chosen.size, 2, 2))
+                self._place(boxes[chosen], name, where, spread)
+                places[chosen], covariance[chosen] = where, spread
         return (places, covariance) if return_cov else places
 
     def bias(self, source: str) -> tuple[FloatArray, FloatArray]:
@@ -201,102 +214,109 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # By how much a target moves while the clock is unsure, along either axis.
         self._clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
-        self._biases: dict[str, tuple[FloatArray, FloatArray]] = {}
+        self._biases: dict[str, tuple[float, float, FloatArray]] = {}
 
-    def _root(self, source: str) -> tuple[FloatArray, FloatArray]:
-        """A source's bias, and a square root (11, 11) of the covariance of all parameters."""
+    def _root(self, source: str) -> tuple[float, float, FloatArray]:
+        """A source's bias, pixels and metres, and a root of the covariance of all parameters.
+
+        The root is (11, 11); its product with the derivatives of a place has the square that the
+        covariance gives.
+        """
         if source not in self._biases:
             bias, covariance = self.bias(source)
             values, vectors = np.linalg.eigh(covariance)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))
-            self._biases[source] = (bias, root)
+            root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+            # What the bias adds to the row is taken off before the place is looked up.
+            root[:, BY_ROW] *= -1.0
+            self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
         return self._biases[source]
 
     def _see(self, boxes: FloatArray, source: str) -> _Seen:
-        bias, root = self._root(source)
-        foot = _foot(boxes)
-        foot[:, 1] -= bias[0]
-        camera, fit = self.camera_, self.fit_
-        east, north = camera.locate(foot, bias[1])
-        offset_east, offset_north = east - camera.east_m, north - camera.north_m
-        distance = np.sqrt(offset_east * offset_east + offset_north * offset_north)
-        _, by_parameter, by_point = project_with_jacobian(
-            fit.vector[:_N], self.image_size_px, east, north, bias[1]
+        bias_px, bias_m, root = self._root(source)
+        camera = self.camera_
+        column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
+        at = locate_with_jacobian(camera, column, row, bias_m)
+        by = at.derivatives
+        shift = (root @ by[: len(root)].reshape(len(root), -1)).reshape(len(root), 2, -1)
+        slant = at.distance_m * at.distance_m + camera.height_m**2
+        by_column, by_row = by[BY_COLUMN], by[BY_ROW]
+        of_column, of_row = self.fit_.noise.variances_px2(camera.focal_px**2 / slant)
+        noise = of_column * by_column * by_column
+        noise += of_row * by_row * by_row
+        return _Seen(
+            at.distance_m,
+            at.sine,
+            at.cosine,
+            moved=np.einsum("kin,kin->in", shift, shift),
+            moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
+            noise=noise,
+            noise_mixed=of_column * by_column[0] * by_column[1] + of_row * by_row[0] * by_row[1],
         )
-        # Seen along and across the line of sight: (along, across) from (column, row).
-        sine, cosine = offset_east / distance, offset_north / distance
-        by_east, by_north = by_point[:, :, 0], by_point[:, :, 1]
-        along = by_east * sine[:, None] + by_north * cosine[:, None]
-        across = by_east * cosine[:, None] - by_north * sine[:, None]
-        determinant = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
-        inverse = np.empty((len(boxes), 2, 2))
-        inverse[:, 0, 0], inverse[:, 0, 1] = across[:, 1], -across[:, 0]
-        inverse[:, 1, 0], inverse[:, 1, 1] = -along[:, 1], along[:, 0]
-        inverse /= determinant[:, None, None]
-        shift = by_parameter @ root[:_N]
-        shift += by_point[:, :, 2:3] * root[_N + 1]
-        shift[:, 1] += root[_N]
-        moved = inverse @ shift
-        column, row = fit.noise.sigmas_px(
-            np.exp(fit.vector[4]) / np.sqrt(distance**2 + np.exp(2.0 * fit.vector[0]))
-        )
-        noise = inverse * np.stack([column, row], axis=1)[:, None, :]
-        return _Seen(distance, sine, cosine, moved, noise)
 
     def _inputs(self, boxes: FloatArray, seen: _Seen, source: str) -> FloatArray:
         """(N, 4) what the residual depends on: bearing, log-range, log of apparent height, width.
 
         The bearing is off the optical axis, radians; heights and widths are metres.
         """
-        heading = np.radians(self.camera_.heading_deg)
-        bearing = np.arctan2(seen.sine, seen.cosine) - heading
-        metres_per_pixel = seen.distance / self.camera_.focal_px
-        bias_px = self._root(source)[0][0]
-        height = np.maximum(boxes[:, 3] - boxes[:, 1] - bias_px, 0.5) * metres_per_pixel
-        width = (boxes[:, 2] - boxes[:, 0]) * metres_per_pixel
-        return np.stack(
-            [
-                np.arctan2(np.sin(bearing), np.cos(bearing)),
-                np.log(seen.distance),
-                np.log(height),
-                np.log(width),
-            ],
-            axis=1,
+        heading = math.radians(self.camera_.heading_deg)
+        sine, cosine = math.sin(heading), math.cos(heading)
+        out = np.empty((4, len(boxes)))
+        np.arctan2(
+            seen.sine * cosine - seen.cosine * sine,
+            seen.cosine * cosine + seen.sine * sine,
+            out=out[0],
         )
+        out[1] = seen.distance
+        metres_per_pixel = seen.distance / self.camera_.focal_px
+        bias_px = self._root(source)[0]
+        out[2] = np.maximum(boxes[:, 3] - boxes[:, 1] - bias_px, 0.5) * metres_per_pixel
+        out[3] = (boxes[:, 2] - boxes[:, 0]) * metres_per_pixel
+        np.log(out[1:], out=out[1:])
+        return out.T
 
-    def _place(self, boxes: FloatArray, source: str) -> tuple[FloatArray, FloatArray]:
+    def _place(
+        self, boxes: FloatArray, source: str, places: FloatArray, covariance: FloatArray
+    ) -> None:
+        """Fill in the places (N, 2) and covariances (N, 2, 2) of boxes of one source."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             seen = self._see(boxes, source)
-            noise = seen.noise_variance()
-            relative = np.sqrt(seen.moved_variance()[0] + noise[0]) / seen.distance
-            known = relative < LARGEST_RELATIVE_SIGMA
+            limit = (LARGEST_RELATIVE_SIGMA * seen.distance) ** 2
+            known = seen.moved[0] + seen.noise[0] < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
-        shape = seen.parameter_covariance()
-        shape[:, 0, 0] += self._clock_variance
-        shape[:, 1, 1] += self._clock_variance
+        along, across = seen.moved + self._clock_variance
+        mixed = seen.moved_mixed
         if self.range_process_ is None or self.bearing_process_ is None:
-            shape += seen.noise_covariance()
-        elif known.any():
-            inputs = self._inputs(boxes[known], seen[known], source)
-            own = np.sqrt(np.stack(noise)[:, known]) / distance[known]
+            along += seen.noise[0]
+            across += seen.noise[1]
+            mixed = mixed + seen.noise_mixed
+        else:
+            rows = slice(None) if known.all() else known
+            near = seen[rows]
+            inputs = self._inputs(boxes[rows], near, source)
+            own = np.sqrt(near.noise) / near.distance
             stretch, stretch_variance = self.range_process_.predict(inputs, own[0])
             turn, turn_variance = self.bearing_process_.predict(inputs, own[1])
-            distance = distance.copy()
-            distance[known] *= np.exp(stretch)
-            scale = np.square(distance[known])
-            shape[known, 0, 0] += stretch_variance * scale
-            shape[known, 1, 1] += turn_variance * scale
-            sine, cosine = sine.copy(), cosine.copy()
-            angle = np.arctan2(sine[known], cosine[known]) + turn
-            sine[known], cosine[known] = np.sin(angle), np.cos(angle)
-        camera = self.camera_
-        places = np.stack(
-            [camera.east_m + distance * sine, camera.north_m + distance * cosine], axis=1
-        )
-        covariance = _to_east_north(shape, sine, cosine)
-        places[~known] = np.nan
-        covariance[~known] = np.nan
-        return places, covariance
+            further = near.distance * np.exp(stretch)
+            scale = further * further
+            along[rows] += stretch_variance * scale
+            across[rows] += turn_variance * scale
+            sin_t, cos_t = np.sin(turn), np.cos(turn)
+            distance[rows] = further
+            sine[rows], cosine[rows] = (
+                near.sine * cos_t + near.cosine * sin_t,
+                near.cosine * cos_t - near.sine * sin_t,
+            )
+        places[:, 0] = self.camera_.east_m + distance * sine
+        places[:, 1] = self.camera_.north_m + distance * cosine
+        # From along and across the line of sight to east and north.
+        ss, cc, sc = sine * sine, cosine * cosine, sine * cosine
+        covariance[:, 0, 0] = along * ss + across * cc + 2.0 * mixed * sc
+        covariance[:, 1, 1] = along * cc + across * ss - 2.0 * mixed * sc
+        covariance[:, 0, 1] = (along - across) * sc + mixed * (cc - ss)
+        covariance[:, 1, 0] = covariance[:, 0, 1]
+        if not known.all():
+            places[~known] = np.nan
+            covariance[~known] = np.nan
 
     def _learn_residual(self, boxes: FloatArray, places: FloatArray, names: Any) -> None:
         n = len(boxes)
@@ -309,7 +329,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 rows = np.flatnonzero(names == name)
                 seen = self._see(boxes[rows], str(name))
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
-                noise[rows] = np.sqrt(np.stack(seen.noise_variance(), 1)) / seen.distance[:, None]
+                noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
                 turn = np.arctan2(east[rows], north[rows]) - np.arctan2(seen.sine, seen.cosine)
                 targets[rows, 0] = np.log(np.hypot(east[rows], north[rows]) / seen.distance)
                 targets[rows, 1] = np.arctan2(np.sin(turn), np.cos(turn))
@@ -434,70 +454,30 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return model
 
 
+@dataclass(frozen=True, eq=False)
 class _Seen:
-    """Boxes as the camera sees them: how far, in which direction, and how that may be off."""
+    """Boxes as the camera sees them: how far, in which direction, and how that may be off.
 
-    def __init__(
-        self,
-        distance: FloatArray,
-        sine: FloatArray,
-        cosine: FloatArray,
-        moved: FloatArray,
-        noise: FloatArray,
-    ) -> None:
-        self.distance = distance
-        self.sine, self.cosine = sine, cosine
-        self.moved, self.noise = moved, noise
+    Attributes:
+        distance: (N,) metres.
+        sine: (N,) of the bearing.
+        cosine: (N,) of the bearing.
+        moved: (2, N) variance along and across the line of sight that the parameters make.
+        moved_mixed: (N,) the covariance of the two.
+        noise: (2, N) variance along and across that the box's noise makes.
+        noise_mixed: (N,) the covariance of the two.
+    """
 
-    def __getitem__(self, rows: BoolArray) -> _Seen:
-        return _Seen(
-            self.distance[rows],
-            self.sine[rows],
-            self.cosine[rows],
-            self.moved[rows],
-            self.noise[rows],
-        )
+    distance: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+    moved: FloatArray
+    moved_mixed: FloatArray
+    noise: FloatArray
+    noise_mixed: FloatArray
 
-    def noise_variance(self) -> tuple[FloatArray, FloatArray]:
-        """Variance along and across the line of sight that the box's noise makes."""
-        return _squares(self.noise)
-
-    def moved_variance(self) -> tuple[FloatArray, FloatArray]:
-        """Variance along and across that the parameters make."""
-        return _squares(self.moved)
-
-    def parameter_covariance(self) -> FloatArray:
-        """(N, 2, 2) along and across, of the parameters."""
-        return _outer(self.moved)
-
-    def noise_covariance(self) -> FloatArray:
-        """(N, 2, 2) along and across, of the box's noise."""
-        return _outer(self.noise)
-
-
-def _squares(shift: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return (
-        np.einsum("nk,nk->n", shift[:, 0], shift[:, 0]),
-        np.einsum("nk,nk->n", shift[:, 1], shift[:, 1]),
-    )
-
-
-def _outer(shift: FloatArray) -> FloatArray:
-    out = np.empty((len(shift), 2, 2))
-    out[:, 0, 0], out[:, 1, 1] = _squares(shift)
-    out[:, 0, 1] = out[:, 1, 0] = np.einsum("nk,nk->n", shift[:, 0], shift[:, 1])
-    return out
-
-
-def _to_east_north(shape: FloatArray, sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    """Covariances from along and across the line of sight to east and north."""
-    along, across, mixed = shape[:, 0, 0], shape[:, 1, 1], shape[:, 0, 1]
-    out = np.empty_like(shape)
-    out[:, 0, 0] = along * sine**2 + across * cosine**2 + 2.0 * mixed * sine * cosine
-    out[:, 1, 1] = along * cosine**2 + across * sine**2 - 2.0 * mixed * sine * cosine
-    out[:, 0, 1] = (along - across) * sine * cosine + mixed * (cosine**2 - sine**2)
-    out[:, 1, 0] = out[:, 0, 1]
-    return out
+    def __getitem__(self, rows: BoolArray | slice) -> _Seen:
+        return _Seen(*(getattr(self, column.name)[..., rows] for column in fields(self)))
 
 
 def _foot(boxes_xyxy_px: FloatArray) -> FloatArray:

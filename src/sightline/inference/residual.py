@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 
 from sightline.types import FloatArray, IntArray
@@ -24,7 +24,10 @@ MOST_POINTS = 2000
 """Exact inference is fine to about this many points; more are thinned evenly."""
 
 _MOST_FOR_LEARNING = 300
-_CHUNK = 2048
+# So that a block of the kernel stays in the cache.
+_KERNEL_SIZE = 131072
+# Share of the process's variance that predictions may miss of what the training points explain.
+_LOST = 1e-4
 
 
 @dataclass(frozen=True)
@@ -82,22 +85,20 @@ class ResidualProcess:
         self.length_scales = length_scales
         self.hyperparameters = hyperparameters or self._most_probable()
         h = self.hyperparameters
-        self._scaled = self.inputs / np.array(h.length_scales)
-        covariance = _covariance(
-            h.to_log(), self._scaled, self.noise, _same(self.group), scaled=True
-        )[0]
-        lower = cholesky(covariance, lower=True)
-        self._weights = solve_triangular(
-            lower.T, solve_triangular(lower, self.targets, lower=True), lower=False
-        )
-        # Its product with the kernel gives the variance explained, in one matrix product.
-        self._whitening = np.ascontiguousarray(
-            solve_triangular(lower, np.eye(len(self.targets)), lower=True).T
-        )
-        self._squares = np.einsum("nd,nd->n", self._scaled, self._scaled)
+        scaled = self.inputs / np.array(h.length_scales)
+        smooth = h.amplitude**2 * np.exp(-0.5 * _squared_differences(scaled).sum(axis=0))
+        rest = _rest(h, self.noise, _same(self.group))
+        self._weights = cho_solve(cho_factor(smooth + rest, lower=True), self.targets)
+        # The product with it is most of the work, and seven digits of a variance are plenty.
+        self._whitening = np.ascontiguousarray(_whitening(smooth, rest), dtype=np.float32)
+        # The kernel's exponent, for a point x: x·y - |x|²/2 - |y|²/2 + log amplitude².
+        half = np.log(h.amplitude**2) - 0.5 * np.einsum("nd,nd->n", scaled, scaled)
+        self._exponents = np.concatenate([scaled.T, np.ones((1, len(scaled))), half[None, :]])
 
     def predict(self, inputs: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variance in a recording that was not learned from, noise included.
+
+        The variance errs to the larger side, by at most a ten thousandth of the process's own.
 
         Args:
             inputs: (M, D) float64.
@@ -107,41 +108,37 @@ class ResidualProcess:
             Two (M,) float64 arrays.
         """
         h = self.hyperparameters
-        mean, explained = np.empty(len(inputs)), np.empty(len(inputs))
-        scaled = inputs / np.array(h.length_scales)
-        for start in range(0, len(inputs), _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            part = scaled[rows]
-            kernel = part @ self._scaled.T
-            kernel -= 0.5 * np.einsum("nd,nd->n", part, part)[:, None]
-            kernel -= 0.5 * self._squares
-            np.exp(np.minimum(kernel, 0.0, out=kernel), out=kernel)
-            kernel *= h.amplitude**2
+        m, dimensions = inputs.shape
+        mean, explained = np.empty(m), np.empty(m)
+        points = np.empty((dimensions + 2, m))
+        scaled = points[:dimensions]
+        np.divide(inputs.T, np.array(h.length_scales)[:, None], out=scaled)
+        points[dimensions] = -0.5 * np.einsum("dm,dm->m", scaled, scaled)
+        points[dimensions + 1] = 1.0
+        chunk = max(_KERNEL_SIZE // len(self.targets), 1)
+        for start in range(0, m, chunk):
+            rows = slice(start, start + chunk)
+            kernel = points[:, rows].T @ self._exponents
+            np.exp(kernel, out=kernel)
             mean[rows] = kernel @ self._weights
-            whitened = kernel @ self._whitening
+            whitened = kernel.astype(np.float32) @ self._whitening
             explained[rows] = np.einsum("nm,nm->n", whitened, whitened)
         variance = np.maximum(h.amplitude**2 - explained, 0.0)
         return mean, variance + h.recording**2 + (h.noise * noise) ** 2
 
     def _most_probable(self) -> Hyperparameters:
         chosen = _thin(len(self.targets), _MOST_FOR_LEARNING)
-        inputs, targets = self.inputs[chosen], self.targets[chosen]
-        noise, same = self.noise[chosen], _same(self.group[chosen])
-        typical = float(np.sqrt(np.mean(noise**2)))
+        typical = float(np.sqrt(np.mean(self.noise[chosen] ** 2)))
         centre = Hyperparameters(0.7 * typical, self.length_scales, 0.5 * typical, 1.0).to_log()
         width = np.array([0.7, *([0.5] * len(self.length_scales)), 0.7, 0.5])
+        likelihood = LogLikelihood(
+            self.inputs[chosen], self.targets[chosen], self.noise[chosen], self.group[chosen]
+        )
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
-            covariance, slopes = _covariance(t, inputs, noise, same)
-            lower = cholesky(covariance, lower=True)
-            half = solve_triangular(lower, np.eye(len(targets)), lower=True)
-            inverse = half.T @ half
-            weights = inverse @ targets
+            value, gradient = likelihood(t)
             belief = (t - centre) / width
-            value = 0.5 * targets @ weights + np.log(np.diag(lower)).sum() + 0.5 * belief @ belief
-            inner = inverse - np.outer(weights, weights)
-            gradient = np.array([0.5 * np.sum(inner * slope) for slope in slopes])
-            return float(value), gradient + belief / width
+            return 0.5 * float(belief @ belief) - value, belief / width - gradient
 
         best = minimize(
             negative_log,
@@ -154,6 +151,82 @@ class ResidualProcess:
         return Hyperparameters.from_log(best.x)
 
 
+class LogLikelihood:
+    """The logarithm of the likelihood of targets, by the logarithms of the hyperparameters.
+
+    Args:
+        inputs: (N, D) float64.
+        targets: (N,) float64.
+        noise: (N,) float64, the standard deviation of each target.
+        group: (N,) int64, the recording of each.
+    """
+
+    def __init__(
+        self, inputs: FloatArray, targets: FloatArray, noise: FloatArray, group: IntArray
+    ) -> None:
+        self._targets, self._noise, self._same = targets, noise, _same(group)
+        self._squares = _squared_differences(inputs).reshape(inputs.shape[1], -1)
+
+    def __call__(self, log_parameters: FloatArray) -> tuple[float, FloatArray]:
+        """The value, but for a constant, and its gradient.
+
+        Args:
+            log_parameters: (3 + D,) as `Hyperparameters.to_log` gives them.
+        """
+        h = Hyperparameters.from_log(log_parameters)
+        per_scale = np.array(h.length_scales) ** -2.0
+        n = len(self._targets)
+        smooth = h.amplitude**2 * np.exp(-0.5 * (per_scale @ self._squares)).reshape(n, n)
+        lower = cholesky(smooth + _rest(h, self._noise, self._same), lower=True, check_finite=False)
+        weights = cho_solve((lower, True), self._targets, check_finite=False)
+        value = -0.5 * float(self._targets @ weights) - float(np.log(np.diag(lower)).sum())
+        inverse, _ = lapack.dpotri(lower, lower=True)
+        # Of the symmetric inverse only the lower triangle is there.
+        inverse += np.tril(inverse, -1).T
+        inner = np.outer(weights, weights) - inverse
+        by_smooth = (inner * smooth).ravel()
+        gradient = np.concatenate(
+            [
+                [by_smooth.sum()],
+                0.5 * per_scale * (self._squares @ by_smooth),
+                [h.recording**2 * np.vdot(inner, self._same)],
+                [h.noise**2 * (np.diag(inner) @ self._noise**2)],
+            ]
+        )
+        return value, gradient
+
+
+def _rest(h: Hyperparameters, noise: FloatArray, same: FloatArray) -> FloatArray:
+    """(N, N) the covariance that is not the smooth part: of recordings and of noise."""
+    out = h.recording**2 * same
+    jitter = 1e-10 * (h.amplitude**2 + h.recording**2)
+    out[np.diag_indices_from(out)] += (h.noise * noise) ** 2 + jitter
+    return out
+
+
+def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
+    """T, (N, R), for which ``|Tᵀ k|²`` is ``kᵀ (smooth + rest)⁻¹ k``, with R as small as may be.
+
+    A smooth kernel has fewer directions than points. It is whitened by what is not smooth,
+    ``W = L⁻¹ smooth L⁻ᵀ``, and taken apart into eigenvectors (of a pivoted Cholesky
+    decomposition, which has fewer columns than W). The kernel's vector of any point has a square
+    of at most λ times the process's variance along an eigenvector, which explains λ / (1 + λ) of
+    it; so the eigenvectors for which these add up to a tolerance can be left out, wherever the
+    point lies. What is left out makes the stated variance larger, never smaller.
+    """
+    lower = cholesky(rest, lower=True)
+    half = solve_triangular(lower, smooth, lower=True)
+    whitened = solve_triangular(lower, half.T, lower=True)
+    factor, pivots, rank, _ = lapack.dpstrf(whitened, tol=0.01 * _LOST / len(smooth), lower=True)
+    columns = np.zeros((len(smooth), rank))
+    columns[pivots - 1] = np.tril(factor)[:, :rank]
+    basis, upper = np.linalg.qr(columns)
+    values, vectors = np.linalg.eigh(upper @ upper.T)
+    needed = np.cumsum(values / (1.0 + values)) > _LOST
+    directions = basis @ (vectors[:, needed] / np.sqrt(1.0 + values[needed]))
+    return np.asarray(solve_triangular(lower, directions, lower=True, trans="T"))
+
+
 def _thin(n: int, most: int) -> IntArray:
     """Indices of at most ``most`` of ``n`` rows, evenly spread."""
     return np.unique(np.linspace(0, max(n - 1, 0), min(n, most)).round().astype(np.int64))
@@ -163,21 +236,6 @@ def _same(group: IntArray) -> FloatArray:
     return np.asarray(group[:, None] == group[None, :], dtype=np.float64)
 
 
-def _covariance(
-    log_parameters: FloatArray,
-    inputs: FloatArray,
-    noise: FloatArray,
-    same: FloatArray,
-    *,
-    scaled: bool = False,
-) -> tuple[FloatArray, list[FloatArray]]:
-    """The covariance of the targets and its derivatives by the logarithms of the parameters."""
-    h = Hyperparameters.from_log(log_parameters)
-    points = inputs if scaled else inputs / np.array(h.length_scales)
-    squares = [(points[:, None, d] - points[None, :, d]) ** 2 for d in range(points.shape[1])]
-    smooth = h.amplitude**2 * np.exp(-0.5 * sum(squares, np.zeros_like(same)))
-    shared = h.recording**2 * same
-    own = np.diag((h.noise * noise) ** 2)
-    jitter = 1e-10 * (h.amplitude**2 + h.recording**2) * np.eye(len(noise))
-    slopes = [2.0 * smooth, *(smooth * square for square in squares), 2.0 * shared, 2.0 * own]
-    return smooth + shared + own + jitter, slopes
+def _squared_differences(points: FloatArray) -> FloatArray:
+    """(D, N, N) of (N, D) points."""
+    return np.square(points.T[:, :, None] - points.T[:, None, :])
