@@ -29,7 +29,7 @@ class Scene:
 
 def path(rng: np.random.Generator, duration_s: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Times, positions and velocities of a boat that steers for one place after another."""
-    step = 0.02
+    step = 0.1
     n = int(duration_s / step) + 2
 
     def place() -> FloatArray:

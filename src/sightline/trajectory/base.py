@@ -107,13 +107,10 @@ def measurements(
         )
     rows = np.flatnonzero(usable)
     rows = rows[np.argsort(times[rows], kind="stable")]
-    covariance = positions.covariance_m2[rows]
-    values, vectors = np.linalg.eigh(0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
-    values = np.maximum(values, SMALLEST_SIGMA_M**2)
     measured = Measurements(
         time_utc_s=times[rows],
         en_m=np.stack([positions.east_m[rows], positions.north_m[rows]], axis=1),
-        covariance_m2=(vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2),
+        covariance_m2=_positive_definite(positions.covariance_m2[rows]),
         confidence=weights[rows],
         rows=rows,
     )
@@ -123,6 +120,18 @@ def measurements(
     if not np.isfinite(asked).all():
         raise InputError(f"track {track_id}: a time that is asked for is no number")
     return measured, distinct(np.sort(asked))
+
+
+def _positive_definite(covariance_m2: FloatArray) -> FloatArray:
+    symmetric = 0.5 * (covariance_m2 + np.swapaxes(covariance_m2, 1, 2))
+    a, b, c = symmetric[:, 0, 0], symmetric[:, 0, 1], symmetric[:, 1, 1]
+    smallest = 0.5 * (a + c) - np.hypot(0.5 * (a - c), b)
+    flat = smallest < SMALLEST_SIGMA_M**2
+    if flat.any():
+        values, vectors = np.linalg.eigh(symmetric[flat])
+        values = np.maximum(values, SMALLEST_SIGMA_M**2)
+        symmetric[flat] = (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return symmetric
 
 
 def distinct(sorted_utc_s: FloatArray) -> FloatArray:

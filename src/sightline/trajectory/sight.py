@@ -55,11 +55,15 @@ class RobustStart:
             window_s: Width of the window.
             at_least: Number of neighbours.
         """
-        table = pd.DataFrame(en_m, index=pd.to_timedelta(time_s, unit="s"))
+        # Medians depend on the axes: along and across the mean direction, they turn with the plane.
+        axes = _sight(en_m.mean(axis=0, keepdims=True))[1][0]
+        table = pd.DataFrame(en_m @ axes.T, index=pd.to_timedelta(time_s, unit="s"))
         near = table.rolling(pd.Timedelta(seconds=window_s), center=True)
-        enough = (near.count() >= at_least).to_numpy()
+        half = 0.5 * window_s
+        count = np.searchsorted(time_s, time_s + half) - np.searchsorted(time_s, time_s - half)
+        enough = (count >= at_least)[:, None]
         few = table.reset_index(drop=True).rolling(at_least, center=True, min_periods=1).median()
-        return cls(time_s, np.where(enough, near.median().to_numpy(), few.to_numpy()))
+        return cls(time_s, np.where(enough, near.median().to_numpy(), few.to_numpy()) @ axes)
 
     def position_at(self, time_s: FloatArray) -> FloatArray:
         """See `Reference`."""
@@ -138,6 +142,8 @@ class NoiseAtRange:
         self, en_m: FloatArray, share_along: float, share_across: float
     ) -> FloatArray:
         """Covariance (M, 2, 2), east and north, of a share of what is stated, at places (M, 2)."""
+        if share_along == 0.0 and share_across == 0.0:
+            return np.zeros((en_m.shape[0], 2, 2))
         shares = np.sqrt([share_along, share_across])
         range_m, axes = _sight(en_m)
         if self.powers is None:

@@ -45,7 +45,11 @@ from sightline.trajectory.sight import (
 )
 from sightline.types import BoolArray, FloatArray, Positions, Track
 
-_ROUNDS = 4
+_MOST_ROUNDS = 8
+_SETTLED = 0.01
+"""The track is done when it moves by less than this share of its standard deviation."""
+_STRETCH = 64
+_STRETCHES = 4
 _PERSISTENCE = 2.0
 _STATED_DOUBT = 0.15
 """Standard deviation of the logarithm of a stated variance: nobody states one more exactly."""
@@ -225,7 +229,7 @@ class RtsSmoother:
         noise = self.noise or _BEFORE_LEARNING
         used = np.ones(time.size, dtype=np.bool_)
         gate = float(chdtri(2, 1.0 - self.gate_probability))
-        for i in range(_ROUNDS):
+        for i in range(_MOST_ROUNDS):
             linear = noise_at_range.linearised(reference.position_at(time))
             if i == 0:
                 used = linear.start_gate(gate)
@@ -235,9 +239,16 @@ class RtsSmoother:
             posterior = chain.smooth(
                 nodes, _parameters(np.array([list(vars(noise).values())]), self.speed_mps)
             )
+            moved = posterior.mean[:, :2] - reference.position_at(nodes.time_s)
             reference = posterior
-            if i < _ROUNDS - 1:
-                used = _gate(time, linear, posterior, noise, used, gate)
+            if i == _MOST_ROUNDS - 1:
+                break
+            agreeing = _gate(time, linear, posterior, noise, used, gate)
+            doubt = np.trace(posterior.covariance[:, :2, :2], axis1=1, axis2=2)
+            settled = bool(((moved**2).sum(axis=1) <= _SETTLED**2 * doubt).all())
+            if i > 1 and settled and np.array_equal(agreeing, used):
+                break
+            used = agreeing
         along, across = self._common(noise, nodes)
         rows = np.zeros(len(positions), dtype=np.bool_)
         rows[measured.rows[used]] = True
@@ -327,8 +338,19 @@ def _gate(
     return kept if kept.any() else used
 
 
+def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
+    """Stretches spread evenly over a long track: as much as its noise can be learned from well."""
+    stretch = np.arange(nodes.time_s.size) // _STRETCH
+    if stretch[-1] < _STRETCHES:
+        return nodes
+    chosen = np.linspace(0, stretch[-1], _STRETCHES).round()
+    kept = np.isin(stretch, chosen)
+    return chain.Nodes(**{name: column[kept] for name, column in vars(nodes).items()})
+
+
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
     """The noise model with the largest posterior probability given the measurements."""
+    nodes = _excerpt(nodes)
     centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
     nodes = replace(nodes, measured_m=nodes.measured_m - nodes.axes @ centre)
     start = replace(start, acceleration_m2ps3=start.acceleration_m2ps3 / _PERSISTENCE)
@@ -354,7 +376,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         jac=True,
         method="L-BFGS-B",
         bounds=Bounds(low / scale, high / scale),
-        options={"maxiter": 40, "ftol": 1e-5, "gtol": 0.1},
+        options={"maxiter": 40, "ftol": 1e-4, "gtol": 0.1},
     )
     found.x *= scale
     learned = NoiseModel(*np.exp(found.x).tolist())
