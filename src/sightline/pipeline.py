@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,8 +26,8 @@ from sightline.evaluation.report import (
 from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer, fit
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
-from sightline.scene import Recording, Scene
-from sightline.tracking import ImageTracker
+from sightline.scene import Recording, Scene, check_inside
+from sightline.tracking import ImageTracker, ImageTrackerSettings
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.types import NO_TRACK, Boxes, Fixes, FloatArray, Frame, Track
@@ -38,6 +39,10 @@ DEFAULT_TRAJECTORY = "rts"
 
 _TABLE_SUFFIXES = (".csv", ".txt")
 _CHUNK_ROWS = 20_000
+_MOST_PARTS = 256
+_LOOKED_AT = 5
+_LEAST_INTERVAL_S = 0.001
+_SELDOM_S = ImageTrackerSettings().coast_unconfirmed_s
 
 
 @dataclass(frozen=True)
@@ -60,12 +65,16 @@ class TrackSettings:
     longest_s: float = 1800.0
 
     def __post_init__(self) -> None:
-        positive = {"ends_after_s": self.ends_after_s, "longest_s": self.longest_s}
-        if self.interval_s is not None:
-            positive["interval_s"] = self.interval_s
-        for name, value in positive.items():
-            if not value > 0.0:
-                raise InputError(f"{name} must be positive; it is {value:g} s")
+        # An unknown name is told before any work is done.
+        method(self.trajectory)
+        for name in ("ends_after_s", "longest_s"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} must be positive; it is {getattr(self, name):g} s")
+        if self.interval_s is not None and not _LEAST_INTERVAL_S <= self.interval_s < np.inf:
+            raise InputError(
+                f"interval_s is {self.interval_s:g} s; it must be at least {_LEAST_INTERVAL_S:g} "
+                "s, since files of tracks keep milliseconds"
+            )
 
 
 def track(
@@ -117,16 +126,24 @@ def iter_tracks(
     """As `track`, one track at a time, each as soon as its target has gone; memory stays flat."""
     settings = settings or TrackSettings()
     smoother = method(settings.trajectory)
+    table = isinstance(source, Boxes) or _is_table(source)
+    if table and start_utc_s is not None:
+        raise InputError(
+            "boxes in a table have no presentation times, so a start time does not tell when they "
+            "were seen; give a clock (frame,utc), or time_utc with the boxes"
+        )
     if isinstance(source, Boxes):
-        batches: Iterator[Boxes] = iter([_one_target(source)])
-    elif Path(source).suffix.lower() in _TABLE_SUFFIXES and "://" not in str(source):
-        batches = _table(source)
+        batches, highest_id = _in_hand(source)
+    elif table:
+        batches, highest_id = _table(source)
     else:
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
-        batches = detect(frames, _detector(detector, model), _length(source), progress)
-        clock = None
-    timed = (_timed(boxes, clock) for boxes in batches)
-    yield from _follow(timed, model, smoother, settings)
+        fit_for_use = _fit_for_use(frames, model, str(source))
+        batches = detect(fit_for_use, _detector(detector, model), _length(source), progress)
+        clock, highest_id = None, NO_TRACK
+    where = "" if isinstance(source, Boxes) else f"{source}: "
+    timed = (_timed(boxes, clock, model, where) for boxes in batches)
+    yield from _follow(timed, model, smoother, settings, highest_id)
 
 
 def detect(
@@ -149,22 +166,44 @@ def detect(
         yield detector.detect(frame)
 
 
-def _table(path: str | os.PathLike[str]) -> Iterator[Boxes]:
-    """The boxes of a table, some thousand rows at a time, in the order of time."""
-    ordered, alone, last = True, True, -np.inf
+def _is_table(source: str | os.PathLike[str]) -> bool:
+    return Path(source).suffix.lower() in _TABLE_SUFFIXES and "://" not in str(source)
+
+
+def _table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
+    """The boxes of a table, some thousand rows at a time, in the order of time.
+
+    Returns:
+        The boxes, and the highest track id, `NO_TRACK` if they have none.
+    """
+    ordered, alone, last, highest_id = True, True, -np.inf, NO_TRACK
     for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS):
+        if not len(chunk):
+            continue
         moment = _moment(chunk)
         step = np.diff(moment, prepend=last)
         ordered &= bool((step >= 0.0).all())
-        alone &= bool((step > 0.0).all() and (chunk.track_id == NO_TRACK).all())
+        alone &= bool((step > 0.0).all())
+        highest_id = max(highest_id, int(chunk.track_id.max()))
         last = float(moment[-1])
     if not ordered:
         # Sorted by track, or not at all: only the whole table can be put in order.
-        boxes = formats.read_boxes(path)
-        yield _one_target(boxes[np.argsort(_moment(boxes), kind="stable")])
-        return
-    for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS):
-        yield chunk.with_columns(track_id=np.ones(len(chunk), dtype=np.int64)) if alone else chunk
+        return _in_hand(formats.read_boxes(path))
+    chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS)
+    if alone and highest_id == NO_TRACK:
+        return (_as_one_target(chunk) for chunk in chunks), 1
+    return chunks, highest_id
+
+
+def _in_hand(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
+    """Boxes in any order, as `_table`.
+
+    Boxes without ids of which no two are of one time are all of one target.
+    """
+    highest_id = int(boxes.track_id.max(initial=NO_TRACK))
+    if highest_id == NO_TRACK and np.unique(_moment(boxes)).size == len(boxes):
+        return iter([_as_one_target(boxes)]), 1
+    return iter([boxes]), highest_id
 
 
 def _moment(boxes: Boxes) -> FloatArray:
@@ -173,12 +212,8 @@ def _moment(boxes: Boxes) -> FloatArray:
     return np.where(timed.all(), boxes.time_utc_s, boxes.frame.astype(np.float64))
 
 
-def _one_target(boxes: Boxes) -> Boxes:
-    """Boxes without ids of which no two are of one time are all of one target."""
-    moment = _moment(boxes)
-    if (boxes.track_id == NO_TRACK).all() and np.unique(moment).size == len(boxes):
-        return boxes.with_columns(track_id=np.ones(len(boxes), dtype=np.int64))
-    return boxes
+def _as_one_target(boxes: Boxes) -> Boxes:
+    return boxes.with_columns(track_id=np.ones(len(boxes), dtype=np.int64))
 
 
 def _detector(detector: Detector | str | None, model: Georeferencer | None) -> Detector:
@@ -201,16 +236,61 @@ def _length(source: str | os.PathLike[str]) -> int | None:
     return len(video.video_info(path).presentation_s)
 
 
-def _timed(boxes: Boxes, clock: Clock | None) -> Boxes:
+class _SeldomError(InputError):
+    """Pictures or boxes between which a target cannot be followed."""
+
+
+def _fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those that no target can be found and followed in.
+
+    Raises:
+        InputError: A picture has no time, or another size than those that the model learned from.
+        _SeldomError: They come too seldom.
+    """
+    first_s: list[float] = []
+    for frame in frames:
+        size_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
+        if size_px != model.image_size_px:
+            raise InputError(
+                f"{where}: its pictures have {size_px[0]} x {size_px[1]} px, the model learned "
+                f"from {model.image_size_px[0]} x {model.image_size_px[1]} px; fit one to pictures "
+                "of this size"
+            )
+        if not np.isfinite(frame.time_utc_s):
+            raise InputError(
+                f"{where}: nothing tells the time of frame {frame.index}; give the start of the "
+                "video (--start-utc), or a clock (--clock)"
+            )
+        yield frame
+        if len(first_s) < _LOOKED_AT:
+            first_s.append(frame.time_utc_s)
+            if len(first_s) == _LOOKED_AT:
+                _refuse_seldom(first_s, "pictures")
+    if len(first_s) < _LOOKED_AT:
+        _refuse_seldom(first_s, "pictures")
+
+
+def _refuse_seldom(times_s: Sequence[float], what: str) -> None:
+    apart_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    if apart_s > _SELDOM_S:
+        raise _SeldomError(
+            f"the {what} are {apart_s:.1f} s apart, and a target can be followed only where they "
+            f"are at most {_SELDOM_S:g} s apart; give the video itself, or boxes with a track_id"
+        )
+
+
+def _timed(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -> Boxes:
+    """Boxes with their times, of the picture that the model knows."""
     if clock is not None and len(boxes):
         boxes = boxes.with_columns(time_utc_s=clock.time_utc_s(boxes.frame))
     unknown = ~np.isfinite(boxes.time_utc_s)
     if unknown.any():
         i = int(np.argmax(unknown))
         raise InputError(
-            f"nothing tells the time of frame {boxes.frame[i]}; give the start of the video "
-            "(--start-utc), a clock (--clock), or time_utc with the boxes"
+            f"{where}nothing tells the time of frame {boxes.frame[i]}; give a clock (--clock), or "
+            "time_utc with the boxes"
         )
+    check_inside(boxes, model.image_size_px, where)
     return boxes
 
 
@@ -219,13 +299,21 @@ def _follow(
     model: Georeferencer,
     smoother: TrajectoryMethod,
     settings: TrackSettings,
+    highest_id: int = NO_TRACK,
 ) -> Iterator[Track]:
-    """Give boxes their track ids, and let each track go when its target has gone.
+    """The tracks of boxes, each as soon as its target has gone.
 
-    Batches come in the order of time, and either all boxes have a track id or none.
+    Args:
+        batches: In the order of time from one to the next.
+        model: Says where a box lies.
+        smoother: Makes a track of positions.
+        settings: How boxes become tracks.
+        highest_id: Of the boxes' track ids; those without one are of no target. `NO_TRACK`: none
+            has one, and a tracker gives them.
     """
-    tracker: ImageTracker | None = None
-    book = _OpenTracks(settings)
+    if highest_id == NO_TRACK:
+        batches = _followed(batches)
+    book = _OpenTracks(settings, highest_id)
 
     def finish(ended: Iterable[tuple[int, Boxes]]) -> Iterator[Track]:
         for number, boxes in ended:
@@ -235,70 +323,107 @@ def _follow(
                     yield made
 
     for batch in batches:
-        if not len(batch):
-            continue
-        if tracker is None and (batch.track_id == NO_TRACK).any():
-            tracker = ImageTracker()
-        if tracker is not None:
-            batch = Boxes.concatenate([tracker.update(one) for one in _moments(batch)])
         yield from finish(book.add(batch))
     yield from finish(book.close())
+
+
+def _followed(batches: Iterator[Boxes]) -> Iterator[Boxes]:
+    """Boxes with the ids that a tracker gives them; the boxes of one time after another.
+
+    Raises:
+        _SeldomError: No target could be followed, since the boxes come too seldom.
+    """
+    tracker = ImageTracker()
+    first_s: list[float] = []
+    anything = False
+    for boxes in _moments(batches):
+        followed = tracker.update(boxes)
+        anything |= len(followed) > 0
+        if not anything:
+            first_s.append(float(boxes.time_utc_s[0]))
+        yield followed
+    if not anything:
+        _refuse_seldom(first_s, "boxes")
+
+
+def _moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
+    """The boxes of one time after another, though those of one time may come in two batches."""
+    waiting: list[Boxes] = []
+    for batch in batches:
+        if not len(batch):
+            continue
+        boxes = Boxes.concatenate([*waiting, batch])
+        order = np.argsort(boxes.time_utc_s, kind="stable")
+        cuts = np.flatnonzero(np.diff(boxes.time_utc_s[order]) > 0.0) + 1
+        *whole, last = np.split(order, cuts)
+        for rows in whole:
+            yield boxes[rows]
+        waiting = [boxes[last]]
+    yield from waiting
 
 
 class _OpenTracks:
     """Boxes of targets that are still there, by track id."""
 
-    def __init__(self, settings: TrackSettings) -> None:
+    def __init__(self, settings: TrackSettings, highest_id: int) -> None:
         self._settings = settings
+        self._highest_id = highest_id
+        self._spare = itertools.count(max(highest_id, 0) + 1)
+        self._used: set[int] = set()
         self._parts: dict[int, list[Boxes]] = {}
         self._first_s: dict[int, float] = {}
         self._last_s: dict[int, float] = {}
-        self._used: set[int] = set()
 
     def add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
         """Take boxes with ids, and give back the targets that have gone."""
+        if not len(batch):
+            return []
         ended: list[tuple[int, Boxes]] = []
-        order = np.argsort(batch.time_utc_s, kind="stable")
-        batch = batch[order]
+        batch = batch[np.argsort(batch.time_utc_s, kind="stable")]
         for key in np.unique(batch.track_id[batch.track_id != NO_TRACK]).tolist():
             own = batch[batch.track_id == key]
-            before = np.r_[self._last_s.get(key, own.time_utc_s[0]), own.time_utc_s[:-1]]
-            gone = own.time_utc_s - before > self._settings.ends_after_s
-            start = self._first_s.get(key, float(own.time_utc_s[0]))
-            piece = np.floor((own.time_utc_s - start) / self._settings.longest_s)
-            cut = gone | (np.diff(piece, prepend=piece[0] if key in self._parts else 0.0) > 0.0)
-            for part in np.split(np.arange(len(own)), np.flatnonzero(cut)):
-                if not part.size:
-                    continue
-                if cut[part[0]] and key in self._parts:
+            while len(own):
+                rows = self._until_cut(key, own.time_utc_s)
+                if rows:
+                    self._take(key, own[:rows])
+                    own = own[rows:]
+                if len(own):
                     ended.append(self._end(key))
-                rows = own[part]
-                self._parts.setdefault(key, []).append(rows)
-                self._first_s.setdefault(key, float(rows.time_utc_s[0]))
-                self._last_s[key] = float(rows.time_utc_s[-1])
-        if len(batch):
-            now = float(batch.time_utc_s[-1])
-            limit = self._settings.ends_after_s
-            ended += [self._end(k) for k in list(self._parts) if now - self._last_s[k] > limit]
-        return ended
+        now = float(batch.time_utc_s[-1])
+        limit = self._settings.ends_after_s
+        return ended + [self._end(k) for k in list(self._parts) if now - self._last_s[k] > limit]
 
     def close(self) -> list[tuple[int, Boxes]]:
         """All that are left."""
         return [self._end(key) for key in list(self._parts)]
 
+    def _until_cut(self, key: int, times_s: FloatArray) -> int:
+        """How many of the next boxes still belong to the open track of a target."""
+        first_s = self._first_s.get(key, float(times_s[0]))
+        before = np.r_[self._last_s.get(key, times_s[0]), times_s[:-1]]
+        cut = times_s - before > self._settings.ends_after_s
+        cut |= times_s - first_s > self._settings.longest_s
+        return int(np.argmax(cut)) if cut.any() else len(times_s)
+
+    def _take(self, key: int, boxes: Boxes) -> None:
+        parts = self._parts.setdefault(key, [])
+        parts.append(boxes)
+        if len(parts) == _MOST_PARTS:
+            # A table of one row is a hundred times its row.
+            parts[:] = [Boxes.concatenate(parts)]
+        self._first_s.setdefault(key, float(boxes.time_utc_s[0]))
+        self._last_s[key] = float(boxes.time_utc_s[-1])
+
     def _end(self, key: int) -> tuple[int, Boxes]:
-        number = key if key not in self._used else max(self._used) + 1
-        self._used.add(number)
         del self._first_s[key], self._last_s[key]
-        return number, Boxes.concatenate(self._parts.pop(key))
+        return self._number(key), Boxes.concatenate(self._parts.pop(key))
 
-
-def _moments(boxes: Boxes) -> Iterator[Boxes]:
-    """The boxes of one time after another."""
-    order = np.argsort(boxes.time_utc_s, kind="stable")
-    cuts = np.flatnonzero(np.diff(boxes.time_utc_s[order]) > 0.0) + 1
-    for rows in np.split(order, cuts):
-        yield boxes[rows]
+    def _number(self, key: int) -> int:
+        """The id of a track: the boxes' own where they have one, another when a target returns."""
+        if key > self._highest_id or key in self._used:
+            return next(self._spare)
+        self._used.add(key)
+        return key
 
 
 def smooth_boxes(
@@ -446,9 +571,19 @@ def score(
 
 
 def leave_one_out(
-    scene: Scene, model: str = DEFAULT_MODEL, *, seed: int = 0
+    scene: Scene,
+    model: str = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    extra: Mapping[str, Boxes] | None = None,
 ) -> dict[str, Georeferencer]:
     """For each recording with pairs a model that never saw it.
+
+    Args:
+        scene: The scene.
+        model: Name of the model.
+        seed: Of whatever is random in the fits.
+        extra: Further boxes of the logged target, by recording; see `fit`.
 
     Raises:
         FitError: Fewer than two recordings have pairs, or what is left is too little.
@@ -467,7 +602,7 @@ def leave_one_out(
             f"{scene.path}: leaving one recording out needs at least two recordings with boxes "
             f"and fixes at the same times; there {'is' if len(names) == 1 else 'are'} {len(names)}"
         )
-    return {name: fit(scene.without([name]), model, seed=seed) for name in names}
+    return {name: fit(scene.without([name]), model, seed=seed, extra=extra) for name in names}
 
 
 def compare(
@@ -566,12 +701,13 @@ def run(
     """
     settings = settings or TrackSettings()
     tell = progress or (lambda _what, _share: None)
-    tell("fitting", 0.0)
-    fitted = fit(scene, model, seed=seed)
+    extra = _taught(scene, detector, tell) if any(map(_unseen, scene.recordings)) else {}
+    tell("fitting", float("nan"))
+    fitted = fit(scene, model, seed=seed, extra=extra)
     notes: list[str] = []
     models: dict[str, Georeferencer] = {}
     try:
-        models = leave_one_out(scene, model, seed=seed)
+        models = leave_one_out(scene, model, seed=seed, extra=extra)
     except FitError:
         notes.append(
             "The figures are of the recordings that the model learned from: there is too little "
@@ -588,10 +724,15 @@ def run(
             held = models.get(recording.name)
             judged = made if held is None else [_target(recording, held, settings)]
         else:
-            judged = list(_others(recording, fitted, detector, settings, tell))
+            try:
+                judged = list(_others(recording, fitted, detector, settings, tell))
+            except _SeldomError as error:
+                judged = []
+                notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
+            else:
+                if recording.detections_path is None:
+                    detected.append(recording.name)
             tracks[recording.name] = Tracks(tuple(t for t in judged if t is not None))
-            if recording.detections_path is None:
-                detected.append(recording.name)
         pairs = _against_log(recording, [t for t in judged if t is not None])
         if pairs is not None:
             scored[recording.name] = pairs
@@ -618,6 +759,59 @@ def run(
     )
 
 
+def _unseen(recording: Recording) -> bool:
+    """Whether a detector has to find the boxes of a recording."""
+    return recording.boxes_path is None and recording.detections_path is None
+
+
+def _taught(scene: Scene, detector: str, tell: Progress) -> dict[str, Boxes]:
+    """What a detector makes of the target where somebody has drawn its boxes.
+
+    Every source of boxes has its own habit at the lower edge. Where the same target was drawn and
+    detected in the same frames, the fit learns both.
+    """
+    out: dict[str, Boxes] = {}
+    for recording in scene.recordings:
+        if recording.boxes_path is None or recording.video_path is None:
+            continue
+        drawn = recording.boxes()
+        found = [
+            boxes[np.isin(boxes.frame, drawn.frame)]
+            for boxes in detect(
+                recording.frames(),
+                _detector(detector, None),
+                _length(recording.video_path),
+                _renamed(tell, f"detecting in {recording.name}"),
+            )
+        ]
+        same = _same_target(drawn, Boxes.concatenate(found))
+        if len(same):
+            out[recording.name] = same
+    return out
+
+
+def _renamed(tell: Progress, what: str) -> Progress:
+    return lambda _what, share: tell(what, share)
+
+
+def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
+    """Of the boxes found those that lie on a box drawn in the same frame, the best for each."""
+    rows = []
+    for frame, box in zip(drawn.frame, drawn.xyxy_px, strict=True):
+        here = np.flatnonzero(found.frame == frame)
+        if not here.size:
+            continue
+        others = found.xyxy_px[here]
+        corners = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
+        overlap = np.prod(np.maximum(corners, 0.0), axis=1)
+        area = np.prod(others[:, 2:] - others[:, :2], axis=1)
+        union = np.prod(box[2:] - box[:2]) + area - overlap
+        best = int(np.argmax(overlap / union))
+        if overlap[best] >= least_iou * union[best]:
+            rows.append(int(here[best]))
+    return found[np.array(sorted(set(rows)), dtype=np.int64)]
+
+
 def _target(recording: Recording, model: Georeferencer, settings: TrackSettings) -> Track | None:
     """The one track of the boxes of the target that was logged."""
     return smooth_boxes(recording.boxes(), model, method(settings.trajectory), settings, track_id=1)
@@ -632,17 +826,20 @@ def _others(
 ) -> Iterator[Track]:
     """The tracks of whatever is seen in a recording without boxes."""
     smoother = method(settings.trajectory)
+    where = f"recording {recording.name}"
+    highest_id = NO_TRACK
     if recording.detections_path is not None:
-        batches: Iterator[Boxes] = iter([_one_target(recording.detections())])
+        batches, highest_id = _in_hand(recording.detections())
     else:
         assert recording.source is not None, "a recording has boxes, detections or pictures"
         batches = detect(
-            recording.frames(),
+            _fit_for_use(recording.frames(), model, where),
             _detector(detector, model),
             _length(recording.source),
-            lambda _, share: tell(f"detecting in {recording.name}", share),
+            _renamed(tell, f"detecting in {recording.name}"),
         )
-    yield from _follow((_timed(boxes, None) for boxes in batches), model, smoother, settings)
+    timed = (_timed(boxes, None, model, f"{where}: ") for boxes in batches)
+    yield from _follow(timed, model, smoother, settings, highest_id)
 
 
 def _against_log(

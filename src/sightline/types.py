@@ -318,6 +318,9 @@ class Positions(_Columns):
         extrapolated: (N,) bool, True where the box lies beyond those that the model learned from,
             and where there is no position at all.
         plane: Where the origin lies on the earth.
+        shared_covariance_m2: (N, 2, 2) float64, the part of ``covariance_m2`` that a target has
+            in common with itself a moment later, and that time does not average out: of the
+            camera's parameters, the clock, the habits of a source. Absent: zero.
     """
 
     east_m: FloatArray
@@ -325,8 +328,9 @@ class Positions(_Columns):
     covariance_m2: FloatArray
     extrapolated: BoolArray
     plane: LocalPlane
+    shared_covariance_m2: FloatArray | None = None
 
-    _row_fields = ("east_m", "north_m", "covariance_m2", "extrapolated")
+    _row_fields = ("east_m", "north_m", "covariance_m2", "extrapolated", "shared_covariance_m2")
 
     def __post_init__(self) -> None:
         n = np.size(self.east_m)
@@ -334,6 +338,9 @@ class Positions(_Columns):
         _freeze(self, "north_m", self.north_m, np.float64, (n,))
         _freeze(self, "covariance_m2", self.covariance_m2, np.float64, (n, 2, 2))
         _freeze(self, "extrapolated", self.extrapolated, np.bool_, (n,))
+        shared = self.shared_covariance_m2
+        shared = np.zeros((n, 2, 2)) if shared is None else shared
+        _freeze(self, "shared_covariance_m2", shared, np.float64, (n, 2, 2))
 
     def __len__(self) -> int:
         return int(self.east_m.size)
@@ -473,7 +480,7 @@ def ellipses(covariance_m2: FloatArray, probability: float = 0.95) -> Ellipses:
         probability: In (0, 1).
     """
     scale = np.sqrt(-2.0 * np.log1p(-probability))
-    known = np.isfinite(covariance_m2).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(covariance_m2).all(axis=(1, 2)))
     values, vectors = np.linalg.eigh(np.where(known[:, None, None], covariance_m2, np.eye(2)))
     axes = scale * np.sqrt(np.maximum(values, 0.0))
     bearing = np.degrees(np.arctan2(vectors[:, 0, 1], vectors[:, 1, 1])) % 180.0

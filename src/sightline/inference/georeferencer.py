@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,13 @@ from numpy.typing import ArrayLike
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
+from sightline.inference.camera_fit import FIRST_SOURCE
 from sightline.inference.camera_model import CameraRegressor
 from sightline.inference.pairs import Pairs, scene_pairs
 from sightline.inference.paper import PAPER_MODELS, PaperModel, paper_model
 from sightline.inference.support import Support
 from sightline.scene import Scene
-from sightline.types import BoolArray, FloatArray, Positions, check_boxes
+from sightline.types import BoolArray, Boxes, FloatArray, Positions, check_boxes
 
 MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
 """The names of all models: the paper's five, and ours."""
@@ -226,13 +228,21 @@ class Georeferencer:
         return save_model(self, path)
 
 
-def fit(scene: Scene, model: str = DEFAULT_MODEL, *, seed: int = 0) -> Georeferencer:
+def fit(
+    scene: Scene,
+    model: str = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    extra: Mapping[str, Boxes] | None = None,
+) -> Georeferencer:
     """Learn a georeferencer from a scene.
 
     Args:
         scene: Its recordings' boxes and logs, and its control points.
         model: One of `MODELS`. The paper's learn from boxes alone, ours from control points too.
         seed: Of whatever is random in the fit.
+        extra: Further boxes of the logged target, from another source, by recording: so that the
+            habits of a detector are learned beside those of an annotator.
 
     Raises:
         InputError: The model's name is not known, or a file of the scene cannot be used.
@@ -244,7 +254,7 @@ def fit(scene: Scene, model: str = DEFAULT_MODEL, *, seed: int = 0) -> Georefere
     known = plane is not None
     if plane is None:
         plane = _middle(scene)
-    pairs = scene_pairs(scene, plane)
+    pairs = scene_pairs(scene, plane, extra=extra)
     if not len(pairs) and not len(scene.control_points):
         raise FitError(
             f"{scene.path}: no pairs of a box and a fix, and no control points; give a recording "
@@ -259,7 +269,7 @@ def fit(scene: Scene, model: str = DEFAULT_MODEL, *, seed: int = 0) -> Georefere
     latitude, longitude = plane.to_geographic([fitted.camera.east_m], [fitted.camera.north_m])
     plane = LocalPlane(float(latitude[0]), float(longitude[0]))
     return fit_pairs(
-        scene_pairs(scene, plane),
+        scene_pairs(scene, plane, extra=extra),
         scene,
         model,
         position_known=False,
@@ -395,7 +405,7 @@ def _camera_report(
         )
     sources = []
     for i, name in enumerate(regressor.sources_):
-        at = len(PARAMETERS) + 2 * i
+        at = FIRST_SOURCE + 2 * i
         sources.append(
             SourceBias(
                 name=name,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -47,13 +48,20 @@ class Pairs:
         )
 
 
-def scene_pairs(scene: Scene, plane: LocalPlane, *, largest_gap_s: float = LARGEST_GAP_S) -> Pairs:
+def scene_pairs(
+    scene: Scene,
+    plane: LocalPlane,
+    *,
+    largest_gap_s: float = LARGEST_GAP_S,
+    extra: Mapping[str, Boxes] | None = None,
+) -> Pairs:
     """The pairs of all recordings that have boxes and a log.
 
     Args:
         scene: The scene.
         plane: The plane of the places.
         largest_gap_s: A box counts where the fixes on either side are at most this far apart.
+        extra: Further boxes of the logged target, from another source, by recording.
 
     Raises:
         FitError: A recording has boxes but no recording has a log.
@@ -65,6 +73,8 @@ def scene_pairs(scene: Scene, plane: LocalPlane, *, largest_gap_s: float = LARGE
         if recording.boxes_path is None or recording.fixes_path is None:
             continue
         boxes = recording.boxes()
+        if extra and recording.name in extra:
+            boxes = Boxes.concatenate([boxes, extra[recording.name]])
         place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
         rows = place.matched
         if not rows.any():
