@@ -269,7 +269,9 @@ def test_boxes_beyond_the_clock(tmp_path: Path) -> None:
 def test_boxes_wholly_outside_the_picture(tmp_path: Path, box: str) -> None:
     (tmp_path / "out.csv").write_text(f"frame,time_utc,x1,y1,x2,y2\n0,5,1,2,5,6\n3,5,{box}\n")
     recording = load(tmp_path, 'boxes = "out.csv"', "[camera]\nimage_size_px = [12, 8]")["a"]
-    message = rf"out\.csv: box 2 of frame 3 \({box}\) lies wholly outside the picture of 12 x 8 px"
+    message = (
+        rf"out\.csv: the box of frame 3 \({box}\) lies wholly outside the picture of 12 x 8 px"
+    )
     with pytest.raises(InputError, match=message):
         recording.boxes()
 

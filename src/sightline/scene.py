@@ -224,7 +224,8 @@ class Recording:
         return video.frames(self.source, start_utc_s=self.start_utc_s)
 
     def _timed(self, boxes: Boxes, path: Path) -> Boxes:
-        _check_inside(boxes, self.image_size_px, path)
+        if self.image_size_px is not None:
+            check_inside(boxes, self.image_size_px, f"{path}: ")
         unknown = ~np.isfinite(boxes.time_utc_s)
         if not unknown.any():
             return boxes
@@ -339,6 +340,30 @@ class Scene:
         )
 
 
+def check_inside(boxes: Boxes, size_px: tuple[int, int], where: str = "") -> None:
+    """Refuse boxes that have nothing to do with a picture.
+
+    Args:
+        boxes: The boxes.
+        size_px: Width and height of the picture.
+        where: Begins the message: the file.
+
+    Raises:
+        InputError: A box lies wholly outside the picture; names the first.
+    """
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    outside = (x2 <= 0.0) | (y2 <= 0.0) | (x1 >= size_px[0]) | (y1 >= size_px[1])
+    if outside.any():
+        i = int(np.argmax(outside))
+        box = ",".join(f"{value:g}" for value in boxes.xyxy_px[i])
+        known = boxes.frame[i] != NO_FRAME
+        name = f"the box of frame {boxes.frame[i]}" if known else f"box {i + 1}"
+        raise InputError(
+            f"{where}{name} ({box}) lies wholly outside the picture of {size_px[0]} x "
+            f"{size_px[1]} px; was it drawn in a picture of another size?"
+        )
+
+
 def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
     """Refuse a log that has nothing to do with a recording.
 
@@ -381,21 +406,6 @@ def _clock(path: Path, _modified_ns: int) -> Clock:
 @lru_cache(maxsize=128)
 def _video_info(path: Path, _modified_ns: int) -> video.VideoInfo:
     return video.video_info(path)
-
-
-def _check_inside(boxes: Boxes, size_px: tuple[int, int] | None, path: Path) -> None:
-    if size_px is None or not len(boxes):
-        return
-    x1, y1, x2, y2 = boxes.xyxy_px.T
-    outside = (x2 <= 0.0) | (y2 <= 0.0) | (x1 >= size_px[0]) | (y1 >= size_px[1])
-    if outside.any():
-        i = int(np.argmax(outside))
-        box = ",".join(f"{value:g}" for value in boxes.xyxy_px[i])
-        frame = f" of frame {boxes.frame[i]}" if boxes.frame[i] != NO_FRAME else ""
-        raise InputError(
-            f"{path}: box {i + 1}{frame} ({box}) lies wholly outside the picture of "
-            f"{size_px[0]} x {size_px[1]} px; was it drawn in a picture of another size?"
-        )
 
 
 def _parse(path: Path) -> _SceneTable:
