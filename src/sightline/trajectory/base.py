@@ -55,7 +55,10 @@ class Measurements:
     Attributes:
         time_utc_s: (N,) float64, finite, never decreasing.
         en_m: (N, 2) float64, metres east and north, finite.
-        covariance_m2: (N, 2, 2) float64, symmetric and positive definite.
+        covariance_m2: (N, 2, 2) float64, symmetric and positive definite: of what differs from
+            one position to the next.
+        shared_m2: (N, 2, 2) float64, of what the positions of a target have in common. Averaging
+            does not lessen it.
         confidence: (N,) float64.
         rows: (N,) int64, where they stood in what was given.
     """
@@ -63,12 +66,22 @@ class Measurements:
     time_utc_s: FloatArray
     en_m: FloatArray
     covariance_m2: FloatArray
+    shared_m2: FloatArray
     confidence: FloatArray
     rows: IntArray
+
+    def shared_at(self, time_utc_s: FloatArray) -> FloatArray:
+        """(M, 2, 2) the covariance that a track shares with itself, between its positions."""
+        columns = self.shared_m2.reshape(-1, 4).T
+        between = [np.interp(time_utc_s, self.time_utc_s, column) for column in columns]
+        return np.stack(between, axis=1).reshape(-1, 2, 2)
 
 
 SMALLEST_SIGMA_M = 1e-4
 """A position is never taken for more precise than this, so that covariances stay invertible."""
+
+_LEAST_OWN_SHARE = 0.05
+"""At least this share of a stated variance is a position's own."""
 
 
 def measurements(
@@ -107,10 +120,16 @@ def measurements(
         )
     rows = np.flatnonzero(usable)
     rows = rows[np.argsort(times[rows], kind="stable")]
+    total = _positive_definite(positions.covariance_m2[rows])
+    assert positions.shared_covariance_m2 is not None, "positions fill it in"
+    shared = positions.shared_covariance_m2[rows]
     measured = Measurements(
         time_utc_s=times[rows],
         en_m=np.stack([positions.east_m[rows], positions.north_m[rows]], axis=1),
-        covariance_m2=_positive_definite(positions.covariance_m2[rows]),
+        covariance_m2=_positive_definite(
+            np.where(np.any(shared, axis=(1, 2), keepdims=True), _own(total, shared), total)
+        ),
+        shared_m2=shared,
         confidence=weights[rows],
         rows=rows,
     )
@@ -120,6 +139,17 @@ def measurements(
     if not np.isfinite(asked).all():
         raise InputError(f"track {track_id}: a time that is asked for is no number")
     return measured, distinct(np.sort(asked))
+
+
+def _own(total_m2: FloatArray, shared_m2: FloatArray) -> FloatArray:
+    """What is left of covariances without their shared part, never less than a share of them."""
+    lower = np.linalg.cholesky(total_m2)
+    half = np.linalg.solve(lower, shared_m2)
+    relative = np.linalg.solve(lower, np.swapaxes(half, 1, 2))
+    values, vectors = np.linalg.eigh(0.5 * (relative + np.swapaxes(relative, 1, 2)))
+    axes = lower @ vectors
+    kept = np.maximum(1.0 - values, _LEAST_OWN_SHARE)
+    return np.asarray((axes * kept[:, None, :]) @ np.swapaxes(axes, 1, 2))
 
 
 def _positive_definite(covariance_m2: FloatArray) -> FloatArray:

@@ -74,7 +74,7 @@ class PaperChain:
             north_m=position[:, 1],
             velocity_east_mps=velocity[:, 0],
             velocity_north_mps=velocity[:, 1],
-            covariance_m2=covariance,
+            covariance_m2=covariance + measured.shared_at(at),
             velocity_covariance_m2ps2=velocity_covariance,
             kind=point_kinds(at, distinct(measured.time_utc_s[used]), self.longest_gap_s),
             plane=positions.plane,

@@ -126,6 +126,7 @@ class SmoothedTrack:
     _used_utc_s: FloatArray
     _plane: LocalPlane
     _longest_gap_s: float
+    _measured: Measurements
 
     def at(self, time_utc_s: FloatArray, *, track_id: int = 0, label: str = "") -> Track:
         """The track at given times.
@@ -146,7 +147,7 @@ class SmoothedTrack:
             north_m=mean[:, 1],
             velocity_east_mps=mean[:, 2],
             velocity_north_mps=mean[:, 3],
-            covariance_m2=covariance[:, :2, :2] + common,
+            covariance_m2=covariance[:, :2, :2] + common + self._measured.shared_at(time_utc_s),
             velocity_covariance_m2ps2=covariance[:, 2:, 2:],
             kind=point_kinds(time_utc_s, self._used_utc_s, self._longest_gap_s),
             plane=self._plane,
@@ -244,6 +245,9 @@ class RtsSmoother:
             if i == _MOST_ROUNDS - 1:
                 break
             agreeing = _gate(time, linear, posterior, noise, used, gate)
+            if i > 1:
+                # Those on the edge would go in and out for ever.
+                agreeing &= used
             doubt = np.trace(posterior.covariance[:, :2, :2], axis1=1, axis2=2)
             settled = bool(((moved**2).sum(axis=1) <= _SETTLED**2 * doubt).all())
             if i > 1 and settled and np.array_equal(agreeing, used):
@@ -263,6 +267,7 @@ class RtsSmoother:
             _used_utc_s=measured.time_utc_s[used],
             _plane=positions.plane,
             _longest_gap_s=self.longest_gap_s,
+            _measured=measured,
         )
 
     def _common(self, noise: NoiseModel, nodes: chain.Nodes) -> tuple[float, float]:
@@ -335,7 +340,7 @@ def _gate(
     spread = stated + np.where(used, -held, 1.0)[:, None, None] * fitted
     distance2 = np.einsum("ni,nij,nj->n", residual, inverse(spread), residual)
     kept = distance2 <= gate * max(1.0, float(np.median(distance2[used])) / _MEDIAN_CHI2_2)
-    return kept if kept.any() else used
+    return kept if (kept & used).any() else used
 
 
 def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
