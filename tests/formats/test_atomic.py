@@ -33,6 +33,13 @@ def test_the_file_is_as_readable_as_any_other(tmp_path: Path) -> None:
     assert (tmp_path / "atomic").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
+def test_an_exception_leaves_none_of_the_folders_that_were_made(tmp_path: Path) -> None:
+    (tmp_path / "old").mkdir()
+    with pytest.raises(ZeroDivisionError):
+        write_half_and_raise(tmp_path / "old" / "new" / "newer" / "a.csv", ZeroDivisionError())
+    assert list((tmp_path / "old").iterdir()) == []
+
+
 def test_an_exception_leaves_the_older_file_and_nothing_else(tmp_path: Path) -> None:
     target = tmp_path / "result.csv"
     target.write_text("older")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sightline.errors import InputError
@@ -17,8 +17,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     The temporary file lies in the same folder, so that the replacement is one step of the file
     system, and ends in the same suffix, so that libraries that pick a format by it are not misled.
-    Missing parent folders are made. If the block raises, what it wrote is removed and an older
-    file under the final name stays as it was.
+    Missing parent folders are made. If the block raises, what it wrote and the folders that were
+    made for it are removed, and an older file under the final name stays as it was.
 
     Args:
         path: Where the file is to be.
@@ -32,6 +32,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     final = Path(path)
     if final.is_dir():
         raise InputError(f"{final}: cannot be written, it is a folder; give the name of a file")
+    new_folders = [folder for folder in final.parents if not folder.exists()]
     temporary: Path | None = None
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -44,6 +45,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.chmod(0o666 & ~_umask())
         yield temporary
         temporary.replace(final)
+        new_folders.clear()
     except OSError as error:
         if not _concerns(error, final, temporary):
             raise
@@ -51,6 +53,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+        for folder in new_folders:
+            # Others may have put something there meanwhile.
+            with suppress(OSError):
+                folder.rmdir()
 
 
 def _umask() -> int:
