@@ -630,9 +630,13 @@ def compare(
         InputError: A name is not known.
         FitError: See `leave_one_out`.
     """
+    if not models:
+        raise InputError(f"no model is named; known are {', '.join(MODELS)}")
     for name in models:
         if name not in MODELS:
             raise unknown_name("model", name, MODELS)
+    if trajectory is not None:
+        method(trajectory)
     single: dict[str, Report] = {}
     smooth: dict[str, Report] = {}
     all_placed: dict[str, list[Placed]] = {}
@@ -700,6 +704,8 @@ def run(
         FitError: No model can be learned from the scene.
     """
     settings = settings or TrackSettings()
+    # Unknown names are told before the work begins.
+    _detector(detector, None)
     tell = progress or (lambda _what, _share: None)
     extra = _taught(scene, detector, tell) if any(map(_unseen, scene.recordings)) else {}
     tell("fitting", float("nan"))

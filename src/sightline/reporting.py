@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import Pairs, pair_track
 from sightline.evaluation.page import (
@@ -82,9 +84,28 @@ def run_page(result: RunResult) -> ReportPage:
 def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
     """Write everything that a run made into a folder: tracks, model, report, map.
 
+    The files take their places together, when the last of them is written.
+
     Returns:
         What lies where, by ``"tracks"``, ``"model"``, ``"report"``, ``"figures"`` and ``"map"``.
+
+    Raises:
+        InputError: The files cannot be written; then none of them is.
     """
+    try:
+        with TemporaryDirectory(prefix=".", dir=folder) as name:
+            made = Path(name)
+            paths = _write_into(result, made)
+            for path in [path for path in made.rglob("*") if path.is_file()]:
+                final = folder / path.relative_to(made)
+                final.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(final)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
+    return {what: folder / path.relative_to(made) for what, path in paths.items()}
+
+
+def _write_into(result: RunResult, folder: Path) -> dict[str, Path]:
     paths = {
         "report": folder / "report.html",
         "figures": folder / "report.json",

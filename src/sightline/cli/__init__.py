@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from typing import Any
 
 import typer
@@ -60,7 +61,7 @@ def _run(arguments: list[str] | None) -> int:
         status = app(args=arguments, standalone_mode=False)
     except SightlineError as error:
         if common.settings.debug:
-            raise
+            traceback.print_exc()
         return _refuse(str(error))
     except _CommandError as error:
         return _refuse(error.format_message())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -37,9 +38,10 @@ class Settings:
 settings = Settings()
 
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write the result as JSON.")
+    Path | None,
+    typer.Option("--json", metavar="FILE", dir_okay=False, help="Write the result as JSON."),
 ]
-SeedOption = Annotated[int, typer.Option(help="Of whatever is random.")]
+SeedOption = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of whatever is random.")]
 ModelNameOption = Annotated[
     str, typer.Option("--model", help="nn, gpr, qkr, qkr+nn, qkr+gpr, camera or camera+gpr.")
 ]
@@ -80,19 +82,26 @@ def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
         write_json(path, content)
 
 
-def check_folder(path: Path) -> Path:
-    """A folder that results can go to; it may not exist yet.
+@contextmanager
+def folder_for_results(path: Path) -> Iterator[Path]:
+    """A folder that results can go to; made if it is not there, and gone again if the work fails.
 
     Raises:
         InputError: There is a file of that name, or the folder cannot be made.
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file; give a folder for the results")
+    new = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be made: {error.strerror}") from error
-    return path
+    try:
+        yield path
+    except BaseException:
+        if new:
+            shutil.rmtree(new[-1])
+        raise
 
 
 def parse_time(text: str | None) -> float | None:

@@ -31,10 +31,12 @@ def compare(
     ] = None,
     map_file: Annotated[
         Path | None,
-        typer.Option("--map", metavar="FILE", help="Map plots like the paper's Figure 3."),
+        typer.Option(
+            "--map", metavar="FILE", dir_okay=False, help="Map plots like the paper's Figure 3."
+        ),
     ] = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A report as one HTML file.")
+        Path | None, typer.Option(metavar="FILE", dir_okay=False, help="A report as one HTML file.")
     ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,

@@ -11,7 +11,7 @@ import typer
 from sightline.cli.common import (
     JsonOption,
     SeedOption,
-    check_folder,
+    folder_for_results,
     progress,
     say,
     write_result,
@@ -38,8 +38,7 @@ def demo(
     The camera is learned from the boxes and the log of two recordings; the third is given as a
     video alone, in which a detector has to find the boats.
     """
-    folder = check_folder(output)
-    with progress() as tell:
+    with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
             folder / "harbour",
             seed=seed,
@@ -56,8 +55,8 @@ def demo(
     if camera is not None:
         say(
             f"camera: height {camera.height_m:.2f} m (true {truth.height_m:.2f}), focal length "
-            f"{camera.focal_px:.0f} px (true {truth.focal_length_px:.0f}), pitch {camera.pitch_deg:.2f} "
-            f"degrees (true {truth.pitch_deg:.2f})"
+            f"{camera.focal_px:.0f} px (true {truth.focal_length_px:.0f}), pitch "
+            f"{camera.pitch_deg:.2f} degrees (true {truth.pitch_deg:.2f})"
         )
     tell_result(result, paths)
     say(f"\nOpen {paths['report']} in a browser.")

@@ -23,7 +23,10 @@ from sightline.scene import Scene
 def fit(
     scene: Annotated[Path, typer.Argument(help="The scene file.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="MODEL", help="Where the model goes.")
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="MODEL", dir_okay=False, help="Where the model goes."
+        ),
     ],
     model: ModelNameOption = DEFAULT_MODEL,
     seed: SeedOption = 0,

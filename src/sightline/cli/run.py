@@ -11,8 +11,8 @@ from sightline.cli.common import (
     JsonOption,
     ModelNameOption,
     SeedOption,
-    check_folder,
     describe,
+    folder_for_results,
     progress,
     say,
     write_result,
@@ -41,8 +41,7 @@ def run(
 ) -> None:
     """The main job: detect where there are no boxes, fit, track, smooth, evaluate."""
     loaded = Scene.load(scene)
-    folder = check_folder(output)
-    with progress() as tell:
+    with folder_for_results(output) as folder, progress() as tell:
         result = run_scene(
             loaded,
             model=model,

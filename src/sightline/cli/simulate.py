@@ -10,7 +10,7 @@ import typer
 from sightline.cli.common import (
     JsonOption,
     SeedOption,
-    check_folder,
+    folder_for_results,
     progress,
     say,
     write_result,
@@ -35,9 +35,9 @@ def simulate(
 ) -> None:
     """Write a synthetic harbour: videos, clocks, boxes, logs, the truth, and a scene."""
     kind: ClockKind = clock  # type: ignore[assignment]
-    with progress() as tell:
+    with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
-            check_folder(output),
+            folder,
             seed=seed,
             recordings=recordings,
             duration_s=duration_s,

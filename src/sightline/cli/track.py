@@ -27,6 +27,7 @@ def track(
             "--output",
             "-o",
             metavar="FILE",
+            dir_okay=False,
             help="Where the tracks go, as often as you like: .geojson, .gpx, .kml, .csv, .parquet "
             "or .gpkg.",
         ),
