@@ -45,17 +45,17 @@ bench: $(BENCH)  ## measure, beside the peers, what the README quotes
 	done
 
 docs: $(DEV)  ## build the documentation into site/; any broken link is an error
-	$(BIN)/python -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "The documentation lies in site/index.html"
 
 constraints: $(BASE)  ## renew constraints.txt with the newest versions that fit together
-	$(BIN)/python .ci/renew_constraints.py
+	$(BIN)/python tools/renew_constraints.py
 	@echo "Now: make check test, then commit constraints.txt"
 
 clean:  ## remove all that was made, the environment too
-	rm -rf $(VENV) build dist site sightline-demo benchmarks/results
+	rm -rf $(VENV) build dist site sightline-demo example-results benchmarks/results
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
-	find src tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests tools examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Some systems ship Python without the part that puts pip into a new environment; the pip beside
 # it can do that as well.

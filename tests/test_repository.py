@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")], key=lambda page: page.as_posix()
+)
+
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+_FENCED = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
+_HEADING = re.compile(r"^#{1,6} +(.+)$", re.MULTILINE)
+
+
+def _project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def _requirements() -> list[Requirement]:
+    project = _project()
+    written = [
+        *project["build-system"]["requires"],
+        *project["project"]["dependencies"],
+        *(one for extra in project["project"]["optional-dependencies"].values() for one in extra),
+        *(one for group in project["dependency-groups"].values() for one in group),
+    ]
+    return [Requirement(one) for one in written if isinstance(one, str)]
+
+
+def _pins() -> dict[str, str]:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [line for line in lines if line and not line.startswith("#")]
+    return {canonicalize_name(name): version for name, version in (p.split("==") for p in pins)}
+
+
+def _anchors(page: Path) -> set[str]:
+    text = _FENCED.sub("", page.read_text(encoding="utf-8"))
+    plain = [re.sub(r"[`*]|\[([^]]*)\]\([^)]*\)", r"\1", title) for title in _HEADING.findall(text)]
+    return {re.sub(r"[\s]+", "-", re.sub(r"[^\w\s-]", "", t.lower()).strip()) for t in plain}
+
+
+def test_every_dependency_is_pinned_to_a_version_that_it_allows() -> None:
+    pins = _pins()
+    requirements = _requirements()
+    assert len(requirements) > 30
+    for requirement in requirements:
+        name = canonicalize_name(requirement.name)
+        assert name in pins, f"{name} has no pin; run: make constraints"
+        assert requirement.specifier.contains(pins[name]), f"{requirement} excludes {pins[name]}"
+
+
+def test_pins_name_versions_and_no_place() -> None:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    for line in lines:
+        assert line.startswith("#") or re.fullmatch(r"[\w.-]+==[\w.+!]+", line), line
+
+
+def test_base_installation_is_light() -> None:
+    heavy = {"torch", "tensorflow", "jax", "ultralytics", "pyarrow", "geopandas"}
+    base = {
+        canonicalize_name(Requirement(one).name) for one in _project()["project"]["dependencies"]
+    }
+    assert not base & heavy
+    assert "torch" not in _pins()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    text = _FENCED.sub("", page.read_text(encoding="utf-8"))
+    for link in _LINK.findall(text):
+        if "://" in link or link.startswith("mailto:"):
+            continue
+        path, _, anchor = link.partition("#")
+        target = page if not path else (page.parent / path).resolve()
+        assert target.exists(), f"{page.name} links to {path}, which does not exist"
+        if anchor:
+            assert anchor in _anchors(target), f"{page.name}: {target.name} has no #{anchor}"
+
+
+def test_every_page_is_in_the_table_of_contents() -> None:
+    contents = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").rglob("*.md"):
+        name = page.relative_to(ROOT / "docs").as_posix()
+        assert f": {name}\n" in contents, f"{name} is not in mkdocs.yml"
+
+
+def test_what_make_is_said_to_do_it_can_do() -> None:
+    known = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    said = set()
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        said |= set(re.findall(r"(?:^    |`)make ([a-z-]+)", text, re.MULTILINE))
+    assert {"demo", "test", "check", "bench", "docs"} <= said
+    assert said <= known, f"not in the Makefile: {sorted(said - known)}"
+
+
+def test_layers_of_the_import_contract_are_all_modules() -> None:
+    contract = _project()["tool"]["importlinter"]["contracts"][0]
+    modules = {
+        f"sightline.{path.stem}"
+        for path in (ROOT / "src" / "sightline").iterdir()
+        if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    assert set(contract["layers"]) == modules - {"sightline.__init__"}
