@@ -45,6 +45,18 @@ def in_code(page: Path) -> str:
     return " ".join(re.findall(r"`([^`\n]+)`", page.read_text(encoding="utf-8")))
 
 
+def documented_names(page: Path) -> list[str]:
+    """What a page of the reference has its docstrings from."""
+    names = []
+    for part in re.split(r"^::: ", page.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]:
+        root = part.split()[0]
+        members = re.search(r"members: \[(.+)\]", part)
+        hidden = "show_root_heading: false" in part
+        names += [] if hidden else [root]
+        names += [f"{root}.{name}" for name in members[1].split(", ")] if members else []
+    return names
+
+
 @pytest.fixture(scope="module")
 def track() -> Track:
     n = 40
@@ -239,7 +251,9 @@ def test_site_builds_without_a_warning_and_has_all_commands(tmp_path: Path) -> N
     for command in app.registered_commands:
         assert command.callback is not None
         assert f"sightline {command.callback.__name__}" in page
+    for reference in sorted((DOCS / "reference").glob("*.md")):
+        built = (tmp_path / "reference" / reference.stem / "index.html").read_text(encoding="utf-8")
+        for name in documented_names(reference):
+            assert f'id="{name}"' in built, f"{reference.name} lacks {name}"
     everything = "".join(p.read_text(encoding="utf-8") for p in tmp_path.rglob("*.html"))
-    for name in ("class Georeferencer", "RtsSmoother", "read_fixes", "Report"):
-        assert name.split()[-1] in everything
     assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=\"https?://", everything)
