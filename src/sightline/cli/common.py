@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +21,8 @@ from sightline.evaluation.comparison import number, percent
 from sightline.evaluation.report import Report, write_json
 from sightline.pipeline import Progress as Tell
 
-stdout = Console()
+# A file is as wide as a table wants.
+stdout = Console(width=None if sys.stdout.isatty() else 200)
 stderr = Console(stderr=True)
 
 
@@ -54,14 +56,15 @@ def say(line: str = "") -> None:
 
 @contextmanager
 def progress() -> Iterator[Tell]:
-    """A progress line on standard error, gone when the work is done."""
+    """A progress line on standard error, where that is a terminal; gone when the work is done."""
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=stderr, transient=True) as bars:
+    off = not stderr.is_terminal
+    with Progress(*columns, console=stderr, transient=True, disable=off) as bars:
         task = bars.add_task("starting", total=None)
 
         def tell(what: str, share: float) -> None:
