@@ -218,8 +218,8 @@ def _check(
 ) -> None:
     if recordings < 1:
         raise InputError(f"{recordings} recordings were asked for; at least one is needed")
-    if not duration_s >= 1.0:
-        raise InputError(f"a recording of {duration_s:g} s is too short; at least 1 s is needed")
+    if not 1.0 <= duration_s < np.inf:
+        raise InputError(f"a recording of {duration_s:g} s is not to be had; give 1 s or more")
     if not 0.5 <= rate_hz <= 120.0:
         raise InputError(f"{rate_hz:g} frames a second are not between 0.5 and 120")
     if any(side % 2 or not 64 <= side <= 7680 for side in image_size_px):
