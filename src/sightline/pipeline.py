@@ -53,7 +53,7 @@ class TrackSettings:
         trajectory: Name of the trajectory method, ``"rts"`` or ``"paper"``.
         interval_s: Time between the points of a track; None: a point a box.
         ends_after_s: A target not seen for as long has gone; its track is smoothed and let go.
-        shortest_s: Tracks that were seen for less are dropped: glitter, birds, broken waves.
+        shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
         longest_s: A track that lasts longer is cut, and goes on under another number, so that a
             source without an end fits into memory.
     """
@@ -317,10 +317,11 @@ def _follow(
 
     def finish(ended: Iterable[tuple[int, Boxes]]) -> Iterator[Track]:
         for number, boxes in ended:
-            if np.ptp(boxes.time_utc_s) >= settings.shortest_s:
-                made = smooth_boxes(boxes, model, smoother, settings, track_id=number)
-                if made is not None:
-                    yield made
+            made = smooth_boxes(
+                boxes, model, smoother, settings, track_id=number, shortest_s=settings.shortest_s
+            )
+            if made is not None:
+                yield made
 
     for batch in batches:
         yield from finish(book.add(batch))
@@ -433,14 +434,15 @@ def smooth_boxes(
     settings: TrackSettings,
     *,
     track_id: int,
+    shortest_s: float = 0.0,
 ) -> Track | None:
-    """The smooth track of one target's boxes; None where none of them has a position."""
+    """The smooth track of one target's boxes; None where they have positions for too short."""
     positions = model.locate(boxes.xyxy_px, boxes.source)
-    if not positions.known.any():
+    times = boxes.time_utc_s[positions.known]
+    if not times.size or np.ptp(times) < shortest_s:
         return None
     at = None
     if settings.interval_s is not None:
-        times = boxes.time_utc_s[positions.known]
         at = np.arange(times.min(), times.max() + 1e-9, settings.interval_s)
     return smoother.apply(
         boxes.time_utc_s,
