@@ -32,7 +32,7 @@ def _square_on_noise(rate_hz: float, *, flicker: bool = False) -> Iterator[tuple
         yield Frame(i, 1e9 + i / rate_hz, image.clip(0, 255).astype(np.uint8)), box
 
 
-@pytest.mark.parametrize("rate_hz", [5.0, 12.0, 25.0])
+@pytest.mark.parametrize("rate_hz", [1.0, 5.0, 12.0, 25.0])
 def test_a_moving_square_is_boxed_to_the_pixel_at_any_frame_rate(rate_hz: float) -> None:
     detector = MotionDetector()
     found = wanted = 0

@@ -143,7 +143,8 @@ class MotionDetector:
             low = np.maximum(regions[:, None, :2], earlier[None, :, :2])
             high = np.minimum(regions[:, None, 2:], earlier[None, :, 2:])
             votes += np.any(np.all(high > low, axis=2), axis=1)
-        enough = settings.persistent_share * max(len(self._recent), 1)
+        # Where frames are further apart than that, there is nothing to wait for.
+        enough = settings.persistent_share * len(self._recent)
         self._recent.append((self._shown_s, regions))
         return votes >= enough
 
@@ -161,10 +162,13 @@ class _Background:
             varThreshold=settings.threshold, detectShadows=False
         )
         self._mixture.setBackgroundRatio(1.0 - settings.absorbed_share)
-        self._mean = self._crop(image_bgr).astype(np.float32)
+        first = self._crop(image_bgr)
+        # To an empty mixture everything is new; the first picture is all background.
+        self._mixture.apply(first, learningRate=1.0)
+        self._mean = first.astype(np.float32)
         self._moved = np.zeros_like(self._searched)
         self._flicker_hz = np.zeros(self._searched.shape, np.float32)
-        self._frames = 0
+        self._frames = 1
 
     def regions(
         self, image_bgr: NDArray[np.uint8], elapsed_s: float

@@ -124,21 +124,17 @@ class SimulatedCamera:
         Returns:
             (..., 2) float64 px; NaN behind the camera and beyond the fold of the lens.
         """
-        points = np.asarray(points_enu_m, dtype=float) - np.array([0.0, 0.0, self.height_m])
-        x, y, z = np.moveaxis(points @ self.rotation.T, -1, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x_u, y_u = x / z, y / z
-            r2 = x_u**2 + y_u**2
-            factor = self.focal_length_px * (1.0 + self.k1 * r2 + self.k2 * r2**2)
-            pixels = np.stack(
-                [
-                    0.5 * self.image_size_px[0] + factor * x_u,
-                    0.5 * self.image_size_px[1] + factor * y_u,
-                ],
-                axis=-1,
-            )
-        seen = (z > 1e-6) & (np.sqrt(np.where(z > 1e-6, r2, np.inf)) < self._fold_radius)
-        return np.where(seen[..., None], pixels, np.nan)
+        points = np.asarray(points_enu_m, dtype=float) - [0.0, 0.0, self.height_m]
+        seen_from_lens = points @ self.rotation.T
+        ahead = seen_from_lens[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            undistorted = seen_from_lens[..., :2] / ahead[..., None]
+            r2 = undistorted[..., 0] ** 2 + undistorted[..., 1] ** 2
+            factor = self.focal_length_px * (1.0 + r2 * (self.k1 + self.k2 * r2))
+            pixels = 0.5 * np.asarray(self.image_size_px) + factor[..., None] * undistorted
+            unseen = ~((ahead > 1e-6) & (r2 < self._fold_radius**2))
+        pixels[unseen] = np.nan
+        return np.asarray(pixels)
 
     def directions(self, pixels: ArrayLike) -> FloatArray:
         """Unit vectors into the world, along which pixels look.
