@@ -32,6 +32,10 @@ def track(
             "or .gpkg.",
         ),
     ],
+    more: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[FILE]...", help="Further files for the tracks, after -o FILE."),
+    ] = None,
     start_utc: Annotated[
         str | None, typer.Option(metavar="TIME", help="When a video begins, ISO 8601.")
     ] = None,
@@ -47,6 +51,7 @@ def track(
     json: JsonOption = None,
 ) -> None:
     """Make smooth tracks of everything in a video, a stream or a table of boxes."""
+    output = [*output, *(more or [])]
     fitted = load_model(model)
     if "://" not in source and not Path(source).exists():
         raise InputError(f"{source}: there is no such video, folder or table")
