@@ -42,6 +42,8 @@ _WORDS = {
     "k2": "radial distortion k2",
     "east_m": "east of the stated place",
     "north_m": "north of the stated place",
+    "half_length_m": "half length of the target",
+    "half_beam_m": "half beam of the target",
 }
 
 
@@ -93,6 +95,7 @@ def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
         InputError: The files cannot be written; then none of them is.
     """
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".", dir=folder) as name:
             made = Path(name)
             paths = _write_into(result, made)
@@ -218,7 +221,7 @@ def _panels(result: RunResult) -> list[MapPanel]:
 def _model_rows(model: Georeferencer) -> list[ModelRow]:
     return [
         ModelRow(
-            name=_WORDS[p.name],
+            name=_WORDS.get(p.name, p.name.replace("_", " ")),
             value=p.value,
             unit="°" if p.unit == "degrees" else p.unit,
             sigma=p.sigma,
