@@ -26,6 +26,7 @@ def _nodes(seed: int, n: int) -> chain.Nodes:
         axes=axes.reshape(n, 2, 2),
         root_m=root,
         count=rng.integers(1, 6, n).astype(float),
+        agility=rng.uniform(0.1, 5.0, n + 1),
     )
 
 
@@ -52,7 +53,7 @@ def _batch(
     """Least squares over all states at once: one row a measurement, a step, a prior."""
     times = np.sort(np.concatenate([nodes.time_s, extra_s]))
     size = times.size
-    q, tau = float(p.q_m2ps3[0]), float(p.tau_s[0])
+    tau = float(p.tau_s[0])
     rows, values = [], []
 
     def add(blocks: dict[int, FloatArray], value: FloatArray, root: FloatArray) -> None:
@@ -71,6 +72,8 @@ def _batch(
         step[0, 2] = step[1, 3] = dt
         step[4, 4] = step[5, 5] = np.exp(-dt / tau)
         noise = np.zeros((6, 6))
+        part = np.searchsorted(nodes.time_s, 0.5 * (times[k] + times[k + 1]))
+        q = float(p.q_m2ps3[0]) * nodes.agility[part]
         for i in (0, 1):
             noise[i, i], noise[i + 2, i + 2] = q * dt**3 / 3.0, q * dt
             noise[i, i + 2] = noise[i + 2, i] = q * dt**2 / 2.0
@@ -164,7 +167,7 @@ def test_likelihood_ratios_are_those_of_the_normal_density(
 ) -> None:
     # The dense covariance cannot hold a position of 1e6 m beside metres in double precision.
     monkeypatch.setattr(chain, "POSITION_PRECISION", 1e-4)
-    nodes = _nodes(6, 10)
+    nodes = replace(_nodes(6, 10), agility=np.ones(11))
     variants = [
         _parameters(),
         _parameters(q_m2ps3=np.array([2.0])),
@@ -182,3 +185,23 @@ def test_likelihood_ratios_are_those_of_the_normal_density(
     )
     got = chain.minus_two_log_likelihood(nodes, together)
     np.testing.assert_allclose(got - got[0], expected - expected[0], rtol=1e-8, atol=1e-7)
+
+
+@pytest.mark.parametrize("q_m2ps3", [0.02, 0.3, 5.0])
+def test_energy_and_draws_are_the_slope_of_the_likelihood(q_m2ps3: float) -> None:
+    """By Fisher's identity: d(-2 log L) / d log q is the draws less the energy over q."""
+    nodes = replace(_nodes(7, 15), agility=np.ones(16))
+    step = 1e-4
+    around = _parameters(
+        q_m2ps3=q_m2ps3 * np.exp([step, -step]),
+        tau_s=np.full(2, 0.9),
+        white=np.tile([[0.6, 0.8]], (2, 1)),
+        lasting=np.tile([[0.5, 0.3]], (2, 1)),
+    )
+    up, down = chain.minus_two_log_likelihood(nodes, around)
+    energy, draws = chain.smooth(
+        nodes, _parameters(q_m2ps3=np.array([q_m2ps3]))
+    ).acceleration_energy()
+    assert ((draws > 0.0) & (draws < 4.0)).all()
+    slope = draws.sum() - energy.sum() / q_m2ps3
+    assert slope == pytest.approx((up - down) / (2.0 * step), abs=1e-4)

@@ -299,6 +299,24 @@ def test_it_learns_whether_noise_lasts() -> None:
     assert lasting.lasting_along == pytest.approx(1.0, abs=0.3)
 
 
+def test_it_is_still_on_straights_and_quick_in_turns() -> None:
+    """Straight, a half circle in 12 s, straight: less doubt on the legs than in the turn."""
+    rng = np.random.default_rng(9)
+    time = np.arange(0.0, 92.0, 0.1)
+    turned = np.clip((time - 40.0) / 12.0, 0.0, 1.0) * np.pi
+    velocity = 4.0 * np.stack([np.cos(turned), np.sin(turned)], axis=1)
+    truth = np.array([-80.0, 100.0]) + 0.1 * np.cumsum(velocity, axis=0)
+    measured = truth + rng.normal(0.0, 3.0, truth.shape)
+    track = RtsSmoother().apply(time, _positions(measured, 9.0 * np.eye(2)))
+    doubt = np.sqrt(np.trace(track.covariance_m2, axis1=1, axis2=2))
+    legs = ((time > 10.0) & (time < 30.0)) | ((time > 62.0) & (time < 82.0))
+    turn = (time > 42.0) & (time < 50.0)
+    assert doubt[legs].mean() < 0.75 * doubt[turn].mean()
+    error = np.hypot(track.east_m - truth[:, 0], track.north_m - truth[:, 1])
+    assert error[legs].mean() < 0.5
+    assert error[turn].mean() < 1.0
+
+
 def test_common_part_stays_whatever_the_number_of_boxes() -> None:
     """Scatter of a third of what is stated: the rest can only be an error of all alike."""
     rng = np.random.default_rng(8)

@@ -42,6 +42,8 @@ class Nodes:
         root_m: (N, 2, 2) float64, lower Cholesky factor of one measurement's stated covariance
             in those axes.
         count: (N,) float64, how many measurements the node is the mean of.
+        agility: (N + 1,) float64, by how much the spectral density of the acceleration differs
+            from the usual one: before the first node, between nodes, after the last.
     """
 
     time_s: FloatArray
@@ -49,6 +51,7 @@ class Nodes:
     axes: FloatArray
     root_m: FloatArray
     count: FloatArray
+    agility: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +82,15 @@ class Posterior:
         mean: (N, 4) float64, position and velocity.
         covariance: (N, 4, 4) float64.
         cross: (N - 1, 4, 4) float64, covariance of a node with the next.
-        q_m2ps3: Spectral density of the acceleration.
+        q_m2ps3: (N + 1,) float64, spectral density of the acceleration before the first node,
+            between nodes, after the last.
     """
 
     time_s: FloatArray
     mean: FloatArray
     covariance: FloatArray
     cross: FloatArray
-    q_m2ps3: float
+    q_m2ps3: FloatArray
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean (M, 4) and covariance (M, 4, 4) of position and velocity at any times (M,).
@@ -106,7 +110,9 @@ class Posterior:
         step = _on_both_axes(_transition(lag))
         mean[outside] = np.einsum("mij,mj->mi", step, self.mean[end])
         covariance[outside] = step @ self.covariance[end] @ _transposed(step)
-        covariance[outside] += _on_both_axes(_diffusion(lag)) * self.q_m2ps3
+        covariance[outside] += (
+            _on_both_axes(_diffusion(lag)) * self.q_m2ps3[right[outside], None, None]
+        )
 
         b = right[~outside]
         a = b - 1
@@ -122,7 +128,7 @@ class Posterior:
             + pull @ self.covariance[b] @ _transposed(pull)
             + mixed
             + _transposed(mixed)
-            + _on_both_axes(bridge) * self.q_m2ps3
+            + _on_both_axes(bridge) * self.q_m2ps3[b, None, None]
         )
         return mean, 0.5 * (covariance + _transposed(covariance))
 
@@ -146,6 +152,26 @@ class Posterior:
         velocity = np.where((time_s < self.time_s[0])[:, None], self.mean[0, 2:], self.mean[-1, 2:])
         out: FloatArray = placed + (time_s - inner)[:, None] * velocity
         return out
+
+    def acceleration_energy(self) -> tuple[FloatArray, FloatArray]:
+        """How hard the target accelerated between nodes, and how many draws that was seen from.
+
+        Returns:
+            Two (N - 1,) arrays: the sum of squares of the smoothed changes, in units of a spectral
+            density of 1 m²/s³, and the number of them (at most 4) that the measurements determine.
+            Over any stretch the first over the second is the density that fits it best (MacKay,
+            *Neural Computation* 4(3), 1992, for the widths of other priors).
+        """
+        lag = np.diff(self.time_s)
+        step = _on_both_axes(_transition(lag))
+        change = self.mean[1:] - np.einsum("nij,nj->ni", step, self.mean[:-1])
+        mixed = step @ self.cross
+        doubt = self.covariance[1:] + step @ self.covariance[:-1] @ _transposed(step)
+        doubt -= mixed + _transposed(mixed)
+        unit = _on_both_axes(_inverse_diffusion(lag))
+        energy = np.einsum("ni,nij,nj->n", change, unit, change)
+        left = np.einsum("nij,nji->n", unit, doubt) / self.q_m2ps3[1:-1]
+        return energy, np.clip(4.0 - left, 0.0, 4.0)
 
 
 def _transposed(matrices: FloatArray) -> FloatArray:
@@ -176,6 +202,11 @@ def _diffusion(lag_s: FloatArray) -> FloatArray:
     return _two_by_two(span**3 / 3.0, crossed, crossed, span)
 
 
+def _inverse_diffusion(lag_s: FloatArray) -> FloatArray:
+    crossed = -6.0 / lag_s**2
+    return _two_by_two(12.0 / lag_s**3, crossed, crossed, 4.0 / lag_s)
+
+
 def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The state between two known ones: weights (M, 2, 2) of either, and what stays unknown.
 
@@ -186,8 +217,7 @@ def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, Floa
     gap = first_s + second_s
     early = _diffusion(first_s)
     later = _transition(second_s)
-    a, b, c = 12.0 / gap**3, -6.0 / gap**2, 4.0 / gap
-    pull = early @ _transposed(later) @ _two_by_two(a, b, b, c)
+    pull = early @ _transposed(later) @ _inverse_diffusion(gap)
     hold = _transition(first_s) - pull @ _transition(gap)
     return hold, pull, early - pull @ later @ early
 
@@ -213,11 +243,11 @@ class _System:
 
 
 def _system(nodes: Nodes, parameters: Parameters) -> _System:
-    q = np.atleast_1d(parameters.q_m2ps3)[:, None]
+    q = np.atleast_1d(parameters.q_m2ps3)[:, None] * nodes.agility[None, 1:-1]
     tau = np.atleast_1d(parameters.tau_s)[:, None]
     white = np.atleast_2d(parameters.white)
     lasting = np.atleast_2d(parameters.lasting)
-    k, n = q.shape[0], nodes.time_s.size
+    k, n = tau.shape[0], nodes.time_s.size
     band = np.zeros((k, n, STATE, BAND))
     minus_two_log = np.zeros(k)
 
@@ -335,7 +365,7 @@ def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
         mean=solution.reshape(n, STATE)[:, :4],
         covariance=covariance[:, :4, :4],
         cross=cross[:, :4, :4],
-        q_m2ps3=float(np.atleast_1d(parameters.q_m2ps3)[0]),
+        q_m2ps3=np.atleast_1d(parameters.q_m2ps3)[0] * nodes.agility,
     )
 
 

@@ -249,4 +249,5 @@ class Linearised:
             axes=node_axes,
             root_m=np.asarray(root_m, dtype=np.float64),
             count=count,
+            agility=np.ones(count.size + 1),
         )

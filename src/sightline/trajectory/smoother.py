@@ -6,7 +6,7 @@ for its size, and the rest is learned from the track itself by maximum likelihoo
 * how much of the noise is white from box to box and how much lasts (a detector that is wrong in
   one frame is wrong in the next), for how long, and how large both are against what was stated,
   along the line of sight and across it;
-* how hard the target accelerates.
+* how hard the target accelerates, usually and in each part of the track.
 
 Priors hold where a track is too short or too sparse to tell.
 
@@ -28,6 +28,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import Bounds, minimize
 from scipy.special import chdtri
 
@@ -38,19 +39,21 @@ from sightline.trajectory.base import Measurements, measurements, point_kinds
 from sightline.trajectory.sight import (
     Linearised,
     NoiseAtRange,
-    Reference,
     RobustStart,
     determinant,
     inverse,
 )
 from sightline.types import BoolArray, FloatArray, Positions, Track
 
-_MOST_ROUNDS = 8
-_SETTLED = 0.01
+_AGILITY_WIDTH_S = 3.0
+_AGILITY_GRID_S = 0.5
+_AGILITY_DRAWS = 0.5
+_AGILITY_LIMITS = (0.02, 20.0)
+_MOST_ROUNDS = 6
+_SETTLED = 0.02
 """The track is done when it moves by less than this share of its standard deviation."""
 _STRETCH = 64
 _STRETCHES = 4
-_PERSISTENCE = 2.0
 _STATED_DOUBT = 0.15
 """Standard deviation of the logarithm of a stated variance: nobody states one more exactly."""
 _MEDIAN_CHI2_2 = 2.0 * np.log(2.0)
@@ -160,7 +163,8 @@ class RtsSmoother:
     """The smoother; without settings it learns what it needs from the track.
 
     Attributes:
-        noise: Motion and noise; None: learned from each track.
+        noise: Motion and noise; None: learned from each track. Where they are given, the target
+            is taken to be as agile in all parts of its track.
         gate_probability: A good measurement is kept with this probability; one that is less
             likely than that, given the track without its outliers, is left out.
         longest_gap_s: Between measurements further apart than this, points are extrapolated.
@@ -226,33 +230,29 @@ class RtsSmoother:
         epoch = float(measured.time_utc_s[0])
         time = measured.time_utc_s - epoch
         noise_at_range = NoiseAtRange.of(measured)
-        reference: Reference = RobustStart.of(time, measured.en_m)
-        noise = self.noise or _BEFORE_LEARNING
-        used = np.ones(time.size, dtype=np.bool_)
         gate = float(chdtri(2, 1.0 - self.gate_probability))
+        noise = self.noise or _BEFORE_LEARNING
+        start = RobustStart.of(time, measured.en_m)
+        linear = noise_at_range.linearised(start.position_at(time))
+        used = linear.start_gate(gate)
+        nodes = linear.nodes(time, used, start, self.resolution_s)
+        posterior = chain.smooth(nodes, _parameters(noise, self.speed_mps))
         for i in range(_MOST_ROUNDS):
-            linear = noise_at_range.linearised(reference.position_at(time))
-            if i == 0:
-                used = linear.start_gate(gate)
-            nodes = linear.nodes(time, used, reference, self.resolution_s)
-            if self.noise is None and i == 1:
-                noise = _learned(nodes, noise, self.speed_mps)
-            posterior = chain.smooth(
-                nodes, _parameters(np.array([list(vars(noise).values())]), self.speed_mps)
-            )
-            moved = posterior.mean[:, :2] - reference.position_at(nodes.time_s)
-            reference = posterior
-            if i == _MOST_ROUNDS - 1:
-                break
             agreeing = _gate(time, linear, posterior, noise, used, gate)
-            if i > 1:
-                # Those on the edge would go in and out for ever.
-                agreeing &= used
+            # In later rounds none comes back: those on the edge would go in and out for ever.
+            used = agreeing if i < 2 or not (agreeing & used).any() else agreeing & used
+            linear = noise_at_range.linearised(posterior.position_at(time))
+            nodes = linear.nodes(time, used, posterior, self.resolution_s)
+            if self.noise is None and i == 0:
+                noise = _learned(nodes, noise, self.speed_mps)
+            elif self.noise is None:
+                nodes = replace(nodes, agility=_agility(posterior, nodes.time_s, noise))
+            before = posterior.position_at(nodes.time_s)
+            posterior = chain.smooth(nodes, _parameters(noise, self.speed_mps))
+            moved2 = ((posterior.mean[:, :2] - before) ** 2).sum(axis=1)
             doubt = np.trace(posterior.covariance[:, :2, :2], axis1=1, axis2=2)
-            settled = bool(((moved**2).sum(axis=1) <= _SETTLED**2 * doubt).all())
-            if i > 1 and settled and np.array_equal(agreeing, used):
+            if i > 0 and (moved2 <= _SETTLED**2 * doubt).all():
                 break
-            used = agreeing
         along, across = self._common(noise, nodes)
         rows = np.zeros(len(positions), dtype=np.bool_)
         rows[measured.rows[used]] = True
@@ -294,7 +294,11 @@ def _logs(noise: NoiseModel) -> FloatArray:
     return np.log(list(vars(noise).values()))
 
 
-def _parameters(noises: FloatArray, speed_mps: float) -> chain.Parameters:
+def _parameters(noise: NoiseModel, speed_mps: float) -> chain.Parameters:
+    return _candidates(np.array([list(vars(noise).values())]), speed_mps)
+
+
+def _candidates(noises: FloatArray, speed_mps: float) -> chain.Parameters:
     """From rows (K, 6) in the order of the fields of `NoiseModel`."""
     return chain.Parameters(
         q_m2ps3=noises[:, 0],
@@ -343,6 +347,39 @@ def _gate(
     return kept if (kept & used).any() else used
 
 
+def _agility(posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel) -> FloatArray:
+    """How hard the target accelerates in each part of its track, against what is usual for it.
+
+    Boats go straight, and then they turn. The spectral density of the acceleration is that which
+    fits the smoothed track within some seconds, held to the usual one as by so many draws.
+
+    Args:
+        posterior: The track so far.
+        time_s: (N,) nodes.
+        noise: With the usual density.
+
+    Returns:
+        (N + 1,) factors; 1 before the first node and after the last.
+    """
+    factors = np.ones(time_s.size + 1)
+    if time_s.size < 2:
+        return factors
+    energy, draws = posterior.acceleration_energy()
+    middle = 0.5 * (posterior.time_s[1:] + posterior.time_s[:-1])
+    cell = (middle / _AGILITY_GRID_S).astype(np.int64)
+    width = _AGILITY_WIDTH_S / _AGILITY_GRID_S
+    near = [
+        gaussian_filter1d(np.bincount(cell, values), width, mode="constant")
+        * (np.sqrt(2.0 * np.pi) * width)
+        for values in (energy / noise.acceleration_m2ps3, draws)
+    ]
+    local = np.log((near[0] + _AGILITY_DRAWS) / (near[1] + _AGILITY_DRAWS))
+    local = np.clip(local, *np.log(_AGILITY_LIMITS))
+    grid_s = (np.arange(local.size) + 0.5) * _AGILITY_GRID_S
+    factors[1:-1] = np.exp(np.interp(0.5 * (time_s[1:] + time_s[:-1]), grid_s, local))
+    return factors
+
+
 def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
     """Stretches spread evenly over a long track: as much as its noise can be learned from well."""
     stretch = np.arange(nodes.time_s.size) // _STRETCH
@@ -350,7 +387,8 @@ def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
         return nodes
     chosen = np.linspace(0, stretch[-1], _STRETCHES).round()
     kept = np.isin(stretch, chosen)
-    return chain.Nodes(**{name: column[kept] for name, column in vars(nodes).items()})
+    columns = {name: column[kept] for name, column in vars(nodes).items() if name != "agility"}
+    return chain.Nodes(**columns, agility=np.ones(int(kept.sum()) + 1))
 
 
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
@@ -358,7 +396,6 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
     nodes = _excerpt(nodes)
     centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
     nodes = replace(nodes, measured_m=nodes.measured_m - nodes.axes @ centre)
-    start = replace(start, acceleration_m2ps3=start.acceleration_m2ps3 / _PERSISTENCE)
     median = _logs(_PRIOR_MEDIAN)
     low, high = np.array(_BOUNDS).T
     step = 1e-5
@@ -368,7 +405,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
     def objective(scaled: FloatArray) -> tuple[float, FloatArray]:
         stencil = np.vstack([scaled * scale, scaled * scale + step * np.eye(6)])
         values = 0.5 * chain.minus_two_log_likelihood(
-            nodes, _parameters(np.exp(stencil), speed_mps)
+            nodes, _candidates(np.exp(stencil), speed_mps)
         )
         values += 0.5 * (((stencil - median) / _PRIOR_SD) ** 2).sum(axis=1)
         total = 0.5 * np.log(np.exp(2.0 * stencil[:, 2:4]) + np.exp(2.0 * stencil[:, 4:6]))
@@ -384,7 +421,4 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         options={"maxiter": 40, "ftol": 1e-4, "gtol": 0.1},
     )
     found.x *= scale
-    learned = NoiseModel(*np.exp(found.x).tolist())
-    # A target holds its turns for seconds. The likelihood weighs its motion where that is seen
-    # best, from one measurement to the next, and understates the slow part, which matters most.
-    return replace(learned, acceleration_m2ps3=_PERSISTENCE * learned.acceleration_m2ps3)
+    return NoiseModel(*np.exp(found.x).tolist())
