@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -43,10 +42,11 @@ def demo(
             folder / "harbour",
             seed=seed,
             duration_s=duration_s,
+            rate_hz=10.0,
+            unlabelled=1,
             progress=lambda share: tell("rendering the harbour", share),
         )
-        scene = Scene.load(_without_boxes(made.scene, made.recordings[-1].name))
-        result = run_scene(scene, seed=seed, progress=tell)
+        result = run_scene(Scene.load(made.scene), seed=seed, progress=tell)
         tell("writing the results", float("nan"))
         paths = write_run(result, folder / "results")
     say(f"A harbour was simulated in {folder / 'harbour'}.")
@@ -61,20 +61,3 @@ def demo(
     tell_result(result, paths)
     say(f"\nOpen {paths['report']} in a browser.")
     write_result(json, result_dict(result, paths))
-
-
-def _without_boxes(scene: Path, name: str) -> Path:
-    """A copy of the scene in which a recording has its video and its log alone."""
-    lines, current = [], ""
-    for line in scene.read_text(encoding="utf-8").splitlines():
-        key = line.partition("=")[0].strip()
-        if line.strip().startswith("["):
-            current = ""
-        elif key == "name":
-            current = str(tomllib.loads(line)["name"])
-        if current == name and key in ("boxes", "detections"):
-            continue
-        lines.append(line)
-    out = scene.with_name("scene-demo.toml")
-    out.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return out
