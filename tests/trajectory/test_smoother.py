@@ -352,5 +352,7 @@ def test_honest_with_one_box_each_four_seconds() -> None:
     boats = [scene(seed, sparse=True) for seed in range(40)]
     ours = np.array([_error(boat, RtsSmoother()) for boat in boats])
     paper = np.array([_error(boat, PaperChain()) for boat in boats])
-    assert (ours[:, 0] / paper[:, 0]).mean() <= 0.65
+    ratio = ours[:, 0] / paper[:, 0]
+    assert ratio.mean() <= 0.65
+    assert ratio.max() < 2.0
     assert 0.90 <= ours[:, 1].mean() <= 0.98

@@ -126,9 +126,7 @@ def measurements(
     measured = Measurements(
         time_utc_s=times[rows],
         en_m=np.stack([positions.east_m[rows], positions.north_m[rows]], axis=1),
-        covariance_m2=_positive_definite(
-            np.where(np.any(shared, axis=(1, 2), keepdims=True), _own(total, shared), total)
-        ),
+        covariance_m2=_positive_definite(_own(total, shared)) if shared.any() else total,
         shared_m2=shared,
         confidence=weights[rows],
         rows=rows,

@@ -18,7 +18,8 @@ from sightline.trajectory.chain import Nodes
 from sightline.types import BoolArray, FloatArray
 
 _LARGEST_POWER = 3.0
-_SHORTEST_RANGE = 0.05
+_REACH_SIGMAS = 5.0
+_REACH = 0.05
 _NEAREST_M = 1e-3
 _MEDIAN_ABS_NORMAL = 0.6745
 
@@ -78,7 +79,8 @@ class NoiseAtRange:
         en_m: (N, 2) float64, measured, east and north.
         stated_m2: (N, 2, 2) float64, covariance as stated, east and north.
         range_m: (N,) float64, measured.
-        covariance_m2: (N, 2, 2) float64, as stated, along and across the direction measured.
+        axes: (N, 2, 2) float64, rows along and across the direction measured.
+        covariance_m2: (N, 2, 2) float64, as stated, in these axes.
         powers: (2,) float64, of the range, to which the standard deviations along and across
             grow, fitted to what is stated; None where the covariance is the same everywhere.
     """
@@ -86,6 +88,7 @@ class NoiseAtRange:
     en_m: FloatArray
     stated_m2: FloatArray
     range_m: FloatArray
+    axes: FloatArray
     covariance_m2: FloatArray
     powers: FloatArray | None
 
@@ -104,7 +107,7 @@ class NoiseAtRange:
             expected, weight = np.array([2.0, 1.0]), 1e-6
             powers = (spread @ log_sigma + weight * expected) / (spread @ spread + weight)
             powers = np.clip(powers, 0.0, _LARGEST_POWER)
-        return cls(measured.en_m, stated, range_m, covariance, powers)
+        return cls(measured.en_m, stated, range_m, axes, covariance, powers)
 
     def linearised(self, reference_m: FloatArray) -> Linearised:
         """The measurements as linear ones, about a path.
@@ -124,16 +127,23 @@ class NoiseAtRange:
                 covariance_m2=axes @ self.stated_m2 @ np.swapaxes(axes, 1, 2),
                 reference_m=reference_m,
             )
+        # Far from a measurement, and more so on the other side of the camera, its equation is
+        # nothing like a straight line: go from the measurement towards the path, not all the way.
+        sigma = np.sqrt(np.diagonal(self.covariance_m2, axis1=1, axis2=2)) / self.range_m[:, None]
+        reach = _REACH_SIGMAS * sigma + _REACH
+        along, across = np.einsum("nij,nj->in", self.axes, reference_m)
+        bearing = np.clip(np.arctan2(across, along), -reach[:, 1], reach[:, 1])
+        ratio = np.clip(np.log(self.range_m / at), -reach[:, 0], reach[:, 0])
+        at = self.range_m * np.exp(-ratio)
+        cosine, sine = np.cos(bearing), np.sin(bearing)
+        turn = np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
         p = self.powers[0]
-        at = np.maximum(at, _SHORTEST_RANGE * self.range_m)
-        ratio = np.log(self.range_m / at)
         # z(range) - z(at), times dr/dz at the reference: metres again, with the noise there.
         shift = at * (np.expm1((1.0 - p) * ratio) / (1.0 - p) if abs(1.0 - p) > 1e-9 else ratio)
-        along, across = np.einsum("nij,nj->in", axes, self.en_m)
         scale = np.exp(-ratio[:, None] * self.powers)
         return Linearised(
-            measured_m=np.stack([at + shift, at * np.arctan2(across, along)], axis=1),
-            axes=axes,
+            measured_m=np.stack([at + shift, -at * bearing], axis=1),
+            axes=turn @ self.axes,
             covariance_m2=self.covariance_m2 * scale[:, :, None] * scale[:, None, :],
             reference_m=reference_m,
         )

@@ -49,7 +49,7 @@ _AGILITY_WIDTH_S = 3.0
 _AGILITY_GRID_S = 0.5
 _AGILITY_DRAWS = 0.5
 _AGILITY_LIMITS = (0.02, 20.0)
-_MOST_ROUNDS = 6
+_MOST_ROUNDS = 5
 _SETTLED = 0.02
 """The track is done when it moves by less than this share of its standard deviation."""
 _STRETCH = 64
