@@ -39,8 +39,8 @@ A parameter vector holds them as the fit sees them: the logarithms of height and
 angles in radians.
 """
 
-BY_ROW, BY_ABOVE, BY_COLUMN = len(PARAMETERS), len(PARAMETERS) + 1, len(PARAMETERS) + 2
-"""Where `Located.derivatives` holds those by the pixel's row, the height and the column."""
+BY_BEYOND, BY_ROW, BY_ABOVE, BY_COLUMN = range(len(PARAMETERS), len(PARAMETERS) + 4)
+"""Where `Located.derivatives` holds those that are not by a parameter of the camera."""
 
 _NEAREST = 1e-6
 _NEWTON_STEPS = 8
@@ -333,15 +333,16 @@ def project_with_jacobian(
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Places of pixels as seen from the camera, and how they move with all that is uncertain.
+    """Places as seen from the camera, and how they move with all that is uncertain.
 
     Attributes:
         distance_m: (N,) from the camera along the plane; NaN where there is no place.
         sine: (N,) of the bearing from the camera, clockwise from north.
         cosine: (N,) of the bearing.
-        derivatives: (12, 2, N) metres along and across the line of sight (across is positive
+        derivatives: (13, 2, N) metres along and across the line of sight (across is positive
             clockwise) by each of `PARAMETERS`, by the pixel's row (`BY_ROW`), by the height of the
-            plane (`BY_ABOVE`) and by the pixel's column (`BY_COLUMN`).
+            plane (`BY_ABOVE`), by the pixel's column (`BY_COLUMN`) and by ``beyond_m``
+            (`BY_BEYOND`).
     """
 
     distance_m: FloatArray
@@ -351,7 +352,7 @@ class Located:
 
 
 def locate_with_jacobian(
-    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: float
+    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: float, beyond_m: float
 ) -> Located:
     """Places of pixels and their derivatives: `Camera.locate`, for the propagation of uncertainty.
 
@@ -363,6 +364,8 @@ def locate_with_jacobian(
         x_px: (N,) columns.
         y_px: (N,) rows.
         above_m: Metres of the plane over the ground.
+        beyond_m: How much further from the camera the place lies than where the ray meets the
+            plane.
     """
     (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = camera.rotation.tolist()
     k1, k2 = camera.k1, camera.k2
@@ -376,29 +379,32 @@ def locate_with_jacobian(
     reach = height / down
     distance = reach * level
 
-    out = np.empty((len(PARAMETERS) + 3, 2, x.size))
+    out = np.empty((len(PARAMETERS) + 4, 2, x.size))
     out[0, 0], out[0, 1] = distance * (camera.height_m / height), 0.0
     out[BY_ABOVE, 0], out[BY_ABOVE, 1] = distance * (-1.0 / height), 0.0
+    out[BY_BEYOND, 0], out[BY_BEYOND, 1] = 1.0, 0.0
     # Along and across by the normalised coordinates: the ray turns, and it reaches further.
     further = distance / down
     x_along = reach * (r00 * sine + r01 * cosine) + r02 * further
     y_along = reach * (r10 * sine + r11 * cosine) + r12 * further
-    x_across = reach * (r00 * cosine - r01 * sine)
-    y_across = reach * (r10 * cosine - r11 * sine)
+    total = distance + beyond_m
+    aside = total / level
+    x_across = aside * (r00 * cosine - r01 * sine)
+    y_across = aside * (r10 * cosine - r11 * sine)
 
     # Pitch turns every ray about the level line to the right of the camera.
     (sin_h, cos_h), (sin_p, cos_p), (sin_r, cos_r) = (
         (math.sin(angle), math.cos(angle))
         for angle in map(math.radians, (camera.heading_deg, camera.pitch_deg, camera.roll_deg))
     )
-    aside = sin_r * x - cos_r * y
-    ahead = reach * (cos_p * aside - sin_p)
-    out[1, 0] = ahead * (sin_h * sine + cos_h * cosine) - further * (sin_p * aside + cos_p)
-    out[1, 1] = ahead * (sin_h * cosine - cos_h * sine)
+    raised = sin_r * x - cos_r * y
+    ahead = cos_p * raised - sin_p
+    out[1, 0] = reach * ahead * (sin_h * sine + cos_h * cosine) - further * (sin_p * raised + cos_p)
+    out[1, 1] = aside * ahead * (sin_h * cosine - cos_h * sine)
     # Roll moves (x, y) by (y, -x).
     out[2, 0] = y * x_along - x * y_along
     out[2, 1] = y * x_across - x * y_across
-    out[3, 0], out[3, 1] = 0.0, distance
+    out[3, 0], out[3, 1] = 0.0, total
     # Focal length and distortion move a ray radially in the image.
     square = x * x + y * y
     stretch = 1.0 + square * (k1 + square * k2)
@@ -418,4 +424,4 @@ def locate_with_jacobian(
     np.multiply(out[5], square, out=out[6])
     out[7, 0], out[7, 1] = sine, cosine
     out[8, 0], out[8, 1] = cosine, -sine
-    return Located(distance, sine, cosine, out)
+    return Located(total, sine, cosine, out)

@@ -1,7 +1,8 @@
 """The unknown camera, fitted to pixels whose place on the earth is known.
 
-Maximum a posteriori estimate of the camera of `sightline.inference.camera`, together with a bias
-of the lower edge for each source of boxes. Residuals are pixels, because that is where the noise
+Maximum a posteriori estimate of the camera of `sightline.inference.camera`, together with the size
+of the target's hull, whose near side a box ends at, and a bias of the lower edge for each source
+of boxes. Residuals are pixels, because that is where the noise
 is: of the row and the column of a box's foot, each with a part that is constant in pixels and a
 part that is constant in metres at the target (a drawn waterline is wrong by a share of the hull, a
 log by metres), both estimated from the residuals. Large residuals count less (Huber). Priors on
@@ -20,6 +21,16 @@ from sightline.errors import FitError
 from sightline.inference.camera import PARAMETERS, Camera, project_with_jacobian
 from sightline.types import BoolArray, FloatArray, IntArray
 
+TARGET_PARAMETERS = ("half_length_m", "half_beam_m")
+"""What is unknown of the target: how far its hull reaches from where its log says that it is.
+
+A box ends where the near side of the hull meets the water. From ahead or astern that is half a
+length nearer than the receiver, from abeam half a beam.
+"""
+
+ANY_ASPECT = 2.0 / np.pi
+"""The mean of ``|cos|`` and of ``|sin|`` of the aspect, for a target that may head anywhere."""
+
 SOURCE_PARAMETERS = ("bias_px", "bias_m")
 """What is unknown of each source of boxes: see `SourceBias`."""
 
@@ -27,12 +38,16 @@ NO_SOURCE = -1
 """The source of a control point, whose pixel has no habit."""
 
 _N = len(PARAMETERS)
+FIRST_SOURCE = _N + len(TARGET_PARAMETERS)
+"""Where a fit's vector has the parameters of the first source."""
 _HUBER = 2.0
 _OUTLIER = 4.0
 # A start first sees the data through noise so many times wider, under which the posterior is
 # smooth and no residual is large enough to be cut off.
 _WIDE = 20.0
 _KNOWN_AT = 0.7
+# Below this a target's course says little about where its bow points.
+_UNDER_WAY_MPS = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,6 +63,8 @@ class CameraPrior:
         focal_log_sigma: Standard deviation of the logarithm of the focal length.
         k1_sigma: About zero.
         k2_sigma: About zero.
+        half_length_m: Mean and standard deviation; of the target.
+        half_beam_m: Mean and standard deviation; of the target.
         position_sigma_m: Of the camera about the place that the scene states.
         bias_px_sigma: Of each source's lower edge, pixels.
         bias_m_sigma: Of each source's lower edge, metres of height at the target.
@@ -63,6 +80,8 @@ class CameraPrior:
     focal_log_sigma: float = 0.3
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
+    half_length_m: tuple[float, float] = (0.0, 2.0)
+    half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3
@@ -92,6 +111,8 @@ class CameraPrior:
             0.0,
             0.0,
             0.0,
+            self.half_length_m[0],
+            self.half_beam_m[0],
         ]
         sigma = [
             self.height_log_sigma,
@@ -103,6 +124,8 @@ class CameraPrior:
             self.k2_sigma,
             position,
             position,
+            self.half_length_m[1],
+            self.half_beam_m[1],
         ]
         return (
             np.array(mean + [0.0, 0.0] * n_sources + [0.0] * n_clocks),
@@ -116,37 +139,29 @@ class CameraPrior:
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """Standard deviations of a box's foot, a pixel part and a part in metres at the target.
+    """Standard deviations of a box's foot, in pixels and in metres at the target.
 
     Attributes:
         row_px: Of the row, pixels.
         row_m: Of the row, metres of height at the target.
         column_px: Of the column, pixels.
-        column_m: Of the column, metres across the line of sight.
+        place_m: Of the place itself, metres east and metres north: how far the log is off, and
+            the middle of the box off the middle of the hull. The two cannot be told apart.
     """
 
     row_px: float = 1.5
     row_m: float = 0.2
     column_px: float = 3.0
-    column_m: float = 1.0
-
-    def sigmas_px(self, pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Standard deviations of column and row, pixels, each (N,).
-
-        Args:
-            pixels_per_metre: (N,) how large a metre at the target looks.
-        """
-        column, row = self.variances_px2(np.square(pixels_per_metre))
-        return np.sqrt(column), np.sqrt(row)
+    place_m: float = 1.0
 
     def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Variances of column and row, square pixels, each (N,).
+        """Variances of a foot's column and row, square pixels, each (N,), without the place's.
 
         Args:
             squared_pixels_per_metre: (N,) the square of how large a metre at the target looks.
         """
         return (
-            self.column_px**2 + self.column_m**2 * squared_pixels_per_metre,
+            np.full_like(squared_pixels_per_metre, self.column_px**2),
             self.row_px**2 + self.row_m**2 * squared_pixels_per_metre,
         )
 
@@ -156,7 +171,7 @@ class PixelNoise:
             self.row_px * factor,
             self.row_m * factor,
             self.column_px * factor,
-            self.column_m * factor,
+            self.place_m * factor,
         )
 
 
@@ -193,11 +208,11 @@ class CameraFit:
     """A fitted camera, and how well it is known.
 
     Attributes:
-        vector: (9 + 2 S + G,) float64, the camera's parameter vector, then ``bias_px`` and
-            ``bias_m`` of each source, then how many seconds the clock of each recording is to be
-            moved on to agree with the log.
+        vector: (11 + 2 S + G,) float64, the camera's parameter vector, then `TARGET_PARAMETERS`,
+            then `SOURCE_PARAMETERS` of each source, then how many seconds the clock of each
+            recording is to be moved on to agree with the log.
         covariance: Square, of ``vector``.
-        prior_sigma: (9 + 2 S + G,) float64, infinite where there was no prior.
+        prior_sigma: (11 + 2 S + G,) float64, infinite where there was no prior.
         clock_groups: (G,) int64, the recordings whose clocks were estimated.
         noise: Of a box's foot.
         image_size_px: Width and height.
@@ -244,8 +259,8 @@ class CameraFit:
             return 0.0
         own = np.diag(self.covariance)[-count:]
         prior = self.prior_sigma[-1] ** 2
-        # The prior weighs as much as two recordings.
-        return float(np.sqrt((2.0 * prior + np.sum(self.clock_offset_s**2 + own)) / (2.0 + count)))
+        # The prior weighs as much as half a recording.
+        return float(np.sqrt((0.5 * prior + np.sum(self.clock_offset_s**2 + own)) / (0.5 + count)))
 
     def determined(self) -> BoolArray:
         """(9,) bool: whether data, and not the prior, says what each of `PARAMETERS` is.
@@ -259,6 +274,12 @@ class CameraFit:
         prior[3] = np.radians(10.0) / _KNOWN_AT
         prior[np.isinf(prior)] = 0.25 * self.typical_range_m / _KNOWN_AT
         return np.asarray(sigma < _KNOWN_AT * prior)
+
+    def target_determined(self) -> BoolArray:
+        """(2,) bool: the same of each of `TARGET_PARAMETERS`."""
+        own = slice(_N, FIRST_SOURCE)
+        sigma = np.sqrt(np.diag(self.covariance)[own])
+        return np.asarray(sigma < _KNOWN_AT * self.prior_sigma[own])
 
 
 def fit_camera(
@@ -343,6 +364,7 @@ class _Problem:
         self.sightings = sightings
         self.image_size_px = image_size_px
         self.n_sources = n_sources
+        self.first_clock = FIRST_SOURCE + len(SOURCE_PARAMETERS) * n_sources
         self.prior = prior
         self.position_known = position_known
         moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
@@ -391,27 +413,53 @@ class _Problem:
             out.append(vector)
         return out
 
-    def project(self, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def aspect(self, vector: FloatArray) -> FloatArray:
+        """(N, 2) how much of the half length and of the half beam points to the camera."""
+        s = self.sightings
+        east, north = s.east_m - vector[7], s.north_m - vector[8]
+        speed = np.hypot(*s.velocity_mps.T)
+        size = np.maximum(speed * np.hypot(east, north), 1e-9)
+        cosine = (s.velocity_mps[:, 0] * east + s.velocity_mps[:, 1] * north) / size
+        out: FloatArray = np.stack([np.abs(cosine), np.sqrt(np.maximum(1.0 - cosine**2, 0.0))], 1)
+        out[speed < _UNDER_WAY_MPS] = ANY_ASPECT
+        out[~self.boxes] = 0.0
+        return out
+
+    def project(
+        self, vector: FloatArray, aspect: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Expected pixels (N, 2), their derivatives by parameters and by the place."""
         s = self.sightings
-        bias = vector[_N : _N + 2 * self.n_sources].reshape(-1, 2)
+        bias = vector[FIRST_SOURCE : self.first_clock].reshape(-1, 2)
         source = np.where(self.boxes, s.source, 0)
         above = np.where(self.boxes, bias[source, 1], 0.0) if self.n_sources else 0.0
         east, north = self.place(vector)
-        pixel, by_parameter, by_point = project_with_jacobian(
-            vector[:_N], self.image_size_px, east, north, above
+        # The foot of a box lies on the near side of the target.
+        east_off, north_off = east - vector[7], north - vector[8]
+        distance = np.hypot(east_off, north_off)
+        sine, cosine = east_off / distance, north_off / distance
+        hull = aspect @ vector[_N:FIRST_SOURCE]
+        pixel, by_parameter, by_foot = project_with_jacobian(
+            vector[:_N], self.image_size_px, east - hull * sine, north - hull * cosine, above
         )
+        by_point = by_foot.copy()
+        across = by_foot[:, :, 0] * cosine[:, None] - by_foot[:, :, 1] * sine[:, None]
+        across *= (hull / distance)[:, None]
+        by_point[:, :, 0] -= across * cosine[:, None]
+        by_point[:, :, 1] += across * sine[:, None]
         jacobian = np.zeros((len(s), 2, vector.size))
         jacobian[:, :, :_N] = by_parameter
+        jacobian[:, :, 7:9] = -by_point[:, :, :2]
+        inwards = by_foot[:, :, 0] * sine[:, None] + by_foot[:, :, 1] * cosine[:, None]
+        jacobian[:, :, _N:FIRST_SOURCE] = -inwards[:, :, None] * aspect[:, None, :]
+        rows = np.flatnonzero(self.boxes)
         if self.n_sources:
-            rows = np.flatnonzero(self.boxes)
             pixel[rows, 1] += bias[source[rows], 0]
-            jacobian[rows, 1, _N + 2 * source[rows]] = 1.0
-            jacobian[rows[:, None], [[0, 1]], (_N + 2 * source[rows] + 1)[:, None]] = by_point[
-                rows, :, 2
-            ]
+            at = FIRST_SOURCE + 2 * source[rows]
+            jacobian[rows, 1, at] = 1.0
+            jacobian[rows[:, None], [[0, 1]], (at + 1)[:, None]] = by_point[rows, :, 2]
         rows = self.moving
-        jacobian[rows, :, _N + 2 * self.n_sources + self.clock[rows]] = np.einsum(
+        jacobian[rows, :, self.first_clock + self.clock[rows]] = np.einsum(
             "nij,nj->ni", by_point[rows, :, :2], s.velocity_mps[rows]
         )
         return pixel, jacobian, by_point
@@ -422,30 +470,30 @@ class _Problem:
         if not self.moving.size:
             return s.east_m, s.north_m
         offset = np.zeros(len(s))
-        offset[self.moving] = vector[_N + 2 * self.n_sources + self.clock[self.moving]]
+        offset[self.moving] = vector[self.first_clock + self.clock[self.moving]]
         return s.east_m + offset * s.velocity_mps[:, 0], s.north_m + offset * s.velocity_mps[:, 1]
 
-    def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
-        """(N,) how large a metre at the sighting looks."""
+    def size(self, vector: FloatArray) -> FloatArray:
+        """(N,) how large a metre at the box looks, pixels; zero for control points."""
         s = self.sightings
         slant = np.hypot(np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]))
-        return np.asarray(np.exp(vector[4]) / slant)
+        return np.where(self.boxes, np.exp(vector[4]) / slant, 0.0)
 
     def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
         """(N, 2) standard deviations of column and row, pixels.
 
-        A control point has the pixel part of a box's noise, and what its place is uncertain by.
+        A control point has the pixel part of a box's noise, and its own uncertainty of place.
         """
-        size = np.where(self.boxes, self.pixels_per_metre(vector), 0.0)
-        _, _, by_point = self.project(vector)
-        place = np.hypot(by_point[:, :, 0], by_point[:, :, 1]) * self.sightings.sigma_m[:, None]
-        return np.hypot(np.stack(noise.sigmas_px(size), axis=1), place)
+        _, _, by_point = self.project(vector, self.aspect(vector))
+        variance = np.stack(noise.variances_px2(self.size(vector) ** 2), axis=1)
+        place = np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
+        return np.sqrt(variance + (place[:, None] * _per_metre(by_point)) ** 2)
 
     def solve(
         self, start: FloatArray, noise: PixelNoise, evaluations: int
     ) -> tuple[float, FloatArray] | None:
         """The nearest minimum of the posterior: its cost and place, or None if none was found."""
-        sigma = self.sigmas(start, noise)
+        sigma, aspect = self.sigmas(start, noise), self.aspect(start)
         held = np.flatnonzero(self.held)
         beliefs = np.zeros((held.size, start.size))
         beliefs[np.arange(held.size), held] = 1.0 / self.sigma[held]
@@ -454,7 +502,7 @@ class _Problem:
         def evaluate(vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
             # The optimiser asks for residuals and for derivatives one after the other.
             if not last or not np.array_equal(last[0][0], vector):
-                pixel, jacobian, _ = self.project(vector)
+                pixel, jacobian, _ = self.project(vector, aspect)
                 raw = ((self.sightings.pixel_px - pixel) / sigma).ravel()
                 size_of = np.abs(raw)
                 tail = size_of > _HUBER
@@ -502,34 +550,27 @@ class _Problem:
 
     def estimate_noise(self, vector: FloatArray, before: PixelNoise) -> PixelNoise:
         """The noise under which the residuals are likeliest, with a weak prior on each part."""
-        residual = self.sightings.pixel_px - self.project(vector)[0]
+        pixel, _, by_point = self.project(vector, self.aspect(vector))
+        residual = self.sightings.pixel_px - pixel
         sigma = self.sigmas(vector, before)
         weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(residual / sigma), 1e-9))
-        n = len(self.sightings)
         # The fit has used up some freedom; what is left is larger by this.
-        lost = 1.0 - min(0.5 * (_N - 1) / n, 0.5)
-        size = np.where(self.boxes, self.pixels_per_metre(vector), 0.0)
-
-        def likeliest(axis: int, centre: tuple[float, float]) -> tuple[float, float]:
-            squared = weight[:, axis] * residual[:, axis] ** 2 / lost
-
-            def negative_log(t: FloatArray) -> float:
-                variance = np.exp(2.0 * t[0]) + np.exp(2.0 * t[1]) * size**2
-                data = 0.5 * np.sum(squared / variance + np.log(variance))
-                beliefs = 0.5 * np.sum(((t - np.log(centre)) / (0.7, 1.0)) ** 2)
-                return float(data + beliefs)
-
-            best = minimize(negative_log, np.log(centre), method="L-BFGS-B")
-            return float(np.exp(best.x[0])), float(np.exp(best.x[1]))
-
-        column, row = likeliest(0, (2.0, 0.7)), likeliest(1, (1.0, 0.15))
-        return PixelNoise(row_px=row[0], row_m=row[1], column_px=column[0], column_m=column[1])
+        lost = 1.0 - min(0.5 * (_N - 1) / len(self.sightings), 0.5)
+        squared = weight * residual**2 / lost
+        per_metre = _per_metre(by_point) ** 2
+        surveyed = (self.sightings.sigma_m**2)[:, None] * per_metre
+        column_px, place_m = _likeliest(
+            squared[:, 0], np.where(self.boxes, per_metre[:, 0], 0.0), surveyed[:, 0], (2.0, 0.7)
+        )
+        logged = surveyed[:, 1] + np.where(self.boxes, place_m**2 * per_metre[:, 1], 0.0)
+        row_px, row_m = _likeliest(squared[:, 1], self.size(vector) ** 2, logged, (1.0, 0.15))
+        return PixelNoise(row_px=row_px, row_m=row_m, column_px=column_px, place_m=place_m)
 
     def summarise(
         self, vector: FloatArray, noise: PixelNoise, ends: list[FloatArray], starts: int
     ) -> CameraFit:
         """The fit with its uncertainty, from the best camera and where the starts ended."""
-        pixel, jacobian, _ = self.project(vector)
+        pixel, jacobian, _ = self.project(vector, self.aspect(vector))
         sigma = self.sigmas(vector, noise)
         residual = self.sightings.pixel_px - pixel
         standard = residual / sigma
@@ -589,3 +630,30 @@ class _Problem:
         """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share."""
         _, inverse, count = np.unique(self.sightings.group, return_inverse=True, return_counts=True)
         return np.asarray(1.0 + (count[inverse] - 1.0) * share)
+
+
+def _per_metre(by_point: FloatArray) -> FloatArray:
+    """(N, 2) by how many pixels column and row move where a place moves by a metre."""
+    return np.asarray(np.hypot(by_point[:, :, 0], by_point[:, :, 1]))
+
+
+def _likeliest(
+    squared: FloatArray, slope: FloatArray, known: FloatArray, centre: tuple[float, float]
+) -> tuple[float, float]:
+    """The standard deviations a and b under which squared residuals are likeliest.
+
+    They have the variance ``a² + b² slope + known``; the logarithms of a and b have priors about
+    those of ``centre``, with standard deviations of 0.7 and 1.
+    """
+
+    def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
+        one, two = np.exp(2.0 * t[0]), np.exp(2.0 * t[1]) * slope
+        variance = one + two + known
+        belief = (t - np.log(centre)) / (0.7, 1.0)
+        value = 0.5 * np.sum(squared / variance + np.log(variance)) + 0.5 * belief @ belief
+        by_variance = (1.0 - squared / variance) / variance
+        slopes = np.array([one * by_variance.sum(), two @ by_variance])
+        return float(value), slopes + belief / (0.7, 1.0)
+
+    best = minimize(negative_log, np.log(centre), jac=True, method="L-BFGS-B")
+    return float(np.exp(best.x[0])), float(np.exp(best.x[1]))

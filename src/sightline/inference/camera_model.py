@@ -15,10 +15,13 @@ from sightline.errors import FitError, InputError
 from sightline.inference.camera import (
     BY_COLUMN,
     BY_ROW,
+    PARAMETERS,
     Camera,
     locate_with_jacobian,
 )
 from sightline.inference.camera_fit import (
+    ANY_ASPECT,
+    FIRST_SOURCE,
     NO_SOURCE,
     SOURCE_PARAMETERS,
     CameraFit,
@@ -41,7 +44,6 @@ LARGEST_RELATIVE_SIGMA = 0.5
 """A box whose range is less certain than this share of itself has no position."""
 
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
-_N = 9
 # So that what is known of a chunk stays in a core's own cache.
 _CHUNK = 1024
 
@@ -155,7 +157,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
     def predict(
-        self, X: ArrayLike, *, source: ArrayLike | None = None, return_cov: bool = False
+        self,
+        X: ArrayLike,
+        *,
+        source: ArrayLike | None = None,
+        return_cov: bool = False,
+        return_shared: bool = False,
     ) -> Any:
         """Where boxes lie.
 
@@ -164,16 +171,21 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             source: (N,) str or one for all, who made the boxes. A source that was not learned
                 from counts as unbiased, with the uncertainty of a bias that nobody knows.
             return_cov: Whether to return covariances too.
+            return_shared: Whether to return, besides, the part of them that a target has in
+                common with itself a moment later: all but the noise of the box.
 
         Returns:
             (N, 2) metres east and north, NaN where there is no position: at or above the horizon,
             and where the range would be less certain than half of itself. With ``return_cov``
-            also (N, 2, 2) square metres: parameters of the camera, noise of the box, residual.
+            also (N, 2, 2) square metres: parameters of the camera, noise of the box, residual;
+            with ``return_shared`` another (N, 2, 2).
         """
         if not hasattr(self, "fit_"):
             check_is_fitted(self, "fit_")
         boxes = np.asarray(X, dtype=np.float64)
-        places, covariance = np.empty((len(boxes), 2)), np.empty((len(boxes), 2, 2))
+        n = len(boxes)
+        places, covariance = np.empty((n, 2)), np.empty((n, 2, 2))
+        shared = np.empty((n if return_shared else 0, 2, 2))
         if source is None or np.ndim(source) == 0:
             parts: list[tuple[str, IntArray | None]] = [(str(source or ""), None)]
         else:
@@ -184,29 +196,35 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for start in range(0, count, _CHUNK):
                 part = slice(start, start + _CHUNK)
                 if rows is None:
-                    self._place(boxes[part], name, places[part], covariance[part])
+                    self._place(boxes[part], name, places[part], covariance[part], shared[part])
                     continue
                 chosen = rows[part]
                 where, spread = np.empty((chosen.size, 2)), np.empty((chosen.size, 2, 2))
-                self._place(boxes[chosen], name, where, spread)
+                common = np.empty((chosen.size if return_shared else 0, 2, 2))
+                self._place(boxes[chosen], name, where, spread, common)
                 places[chosen], covariance[chosen] = where, spread
+                if return_shared:
+                    shared[chosen] = common
+        if return_shared:
+            return places, covariance, shared
         return (places, covariance) if return_cov else places
 
     def bias(self, source: str) -> tuple[FloatArray, FloatArray]:
         """A source's bias, (2,) pixels and metres, and the whole covariance with the camera's.
 
-        The covariance is (11, 11): the camera's nine parameters, then the two of the bias.
+        The covariance is (13, 13): the camera's nine parameters, the target's two, and the two of
+        the bias.
         """
         fit, prior = self.fit_, self.prior or CameraPrior()
         name = self.sources_[0] if not source and len(self.sources_) == 1 else source
-        covariance = np.zeros((_N + 2, _N + 2))
-        covariance[:_N, :_N] = fit.covariance[:_N, :_N]
         if name in self.sources_:
-            first = _N + 2 * self.sources_.index(name)
-            chosen = [*range(_N), first, first + 1]
+            first = FIRST_SOURCE + len(SOURCE_PARAMETERS) * self.sources_.index(name)
+            chosen = [*range(FIRST_SOURCE), first, first + 1]
             return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
-        covariance[_N, _N] = prior.bias_px_sigma**2
-        covariance[_N + 1, _N + 1] = prior.bias_m_sigma**2
+        covariance = np.zeros((FIRST_SOURCE + 2, FIRST_SOURCE + 2))
+        covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
+        covariance[FIRST_SOURCE, FIRST_SOURCE] = prior.bias_px_sigma**2
+        covariance[FIRST_SOURCE + 1, FIRST_SOURCE + 1] = prior.bias_m_sigma**2
         return np.zeros(2), covariance
 
     def _prepare(self) -> None:
@@ -214,18 +232,28 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # By how much a target moves while the clock is unsure, along either axis.
         self._clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
+        length, beam = self.fit_.vector[len(PARAMETERS) : FIRST_SOURCE]
+        self._hull_m = float(ANY_ASPECT * (length + beam))
+        # The variance of length |cos| + beam |sin| over all aspects.
+        aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self._hull_m**2
+        place = self.fit_.noise.place_m**2
+        self._place_variance = np.array([[place + aspect], [place]])
         self._biases: dict[str, tuple[float, float, FloatArray]] = {}
 
     def _root(self, source: str) -> tuple[float, float, FloatArray]:
         """A source's bias, pixels and metres, and a root of the covariance of all parameters.
 
-        The root is (11, 11); its product with the derivatives of a place has the square that the
-        covariance gives.
+        The root is (13, 12): its product with `Located.derivatives`, but for the last, has the
+        square that the covariance gives.
         """
         if source not in self._biases:
             bias, covariance = self.bias(source)
             values, vectors = np.linalg.eigh(covariance)
             root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+            # Nobody knows where the bow of a box points to: both halves of a hull count alike.
+            first, second = range(len(PARAMETERS), FIRST_SOURCE)
+            root[:, second] = ANY_ASPECT * (root[:, first] + root[:, second])
+            root = np.delete(root, first, axis=1)
             # What the bias adds to the row is taken off before the place is looked up.
             root[:, BY_ROW] *= -1.0
             self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
@@ -235,14 +263,15 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         bias_px, bias_m, root = self._root(source)
         camera = self.camera_
         column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
-        at = locate_with_jacobian(camera, column, row, bias_m)
+        at = locate_with_jacobian(camera, column, row, bias_m, self._hull_m)
         by = at.derivatives
-        shift = (root @ by[: len(root)].reshape(len(root), -1)).reshape(len(root), 2, -1)
+        shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
         slant = at.distance_m * at.distance_m + camera.height_m**2
         by_column, by_row = by[BY_COLUMN], by[BY_ROW]
         of_column, of_row = self.fit_.noise.variances_px2(camera.focal_px**2 / slant)
         noise = of_column * by_column * by_column
         noise += of_row * by_row * by_row
+        noise += self._place_variance
         return _Seen(
             at.distance_m,
             at.sine,
@@ -275,9 +304,17 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return out.T
 
     def _place(
-        self, boxes: FloatArray, source: str, places: FloatArray, covariance: FloatArray
+        self,
+        boxes: FloatArray,
+        source: str,
+        places: FloatArray,
+        covariance: FloatArray,
+        shared: FloatArray,
     ) -> None:
-        """Fill in the places (N, 2) and covariances (N, 2, 2) of boxes of one source."""
+        """Fill in the places (N, 2) and covariances (N, 2, 2) of boxes of one source.
+
+        The shared part of the covariances is filled in where ``shared`` has room for it.
+        """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             seen = self._see(boxes, source)
             limit = (LARGEST_RELATIVE_SIGMA * seen.distance) ** 2
@@ -286,8 +323,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         along, across = seen.moved + self._clock_variance
         mixed = seen.moved_mixed
         if self.range_process_ is None or self.bearing_process_ is None:
-            along += seen.noise[0]
-            across += seen.noise[1]
+            own_along, own_across = seen.noise
+            along += own_along
+            across += own_across
             mixed = mixed + seen.noise_mixed
         else:
             rows = slice(None) if known.all() else known
@@ -300,6 +338,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             scale = further * further
             along[rows] += stretch_variance * scale
             across[rows] += turn_variance * scale
+            own_along, own_across = np.zeros_like(along), np.zeros_like(across)
+            own_along[rows] = (self.range_process_.hyperparameters.noise * own[0]) ** 2 * scale
+            own_across[rows] = (self.bearing_process_.hyperparameters.noise * own[1]) ** 2 * scale
             sin_t, cos_t = np.sin(turn), np.cos(turn)
             distance[rows] = further
             sine[rows], cosine[rows] = (
@@ -308,15 +349,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
         places[:, 0] = self.camera_.east_m + distance * sine
         places[:, 1] = self.camera_.north_m + distance * cosine
-        # From along and across the line of sight to east and north.
-        ss, cc, sc = sine * sine, cosine * cosine, sine * cosine
-        covariance[:, 0, 0] = along * ss + across * cc + 2.0 * mixed * sc
-        covariance[:, 1, 1] = along * cc + across * ss - 2.0 * mixed * sc
-        covariance[:, 0, 1] = (along - across) * sc + mixed * (cc - ss)
-        covariance[:, 1, 0] = covariance[:, 0, 1]
+        _turn(along, across, mixed, sine, cosine, covariance)
+        if shared.size:
+            _turn(along - own_along, across - own_across, seen.moved_mixed, sine, cosine, shared)
         if not known.all():
             places[~known] = np.nan
             covariance[~known] = np.nan
+            shared[~known[: len(shared)]] = np.nan
 
     def _learn_residual(self, boxes: FloatArray, places: FloatArray, names: Any) -> None:
         n = len(boxes)
@@ -412,7 +451,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
         model.sources_ = tuple(settings["sources"])
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
-        size = _N + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
+        size = FIRST_SOURCE + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
         nothing = np.empty(0)
         model.fit_ = CameraFit(
@@ -478,6 +517,22 @@ class _Seen:
 
     def __getitem__(self, rows: BoolArray | slice) -> _Seen:
         return _Seen(*(getattr(self, column.name)[..., rows] for column in fields(self)))
+
+
+def _turn(
+    along: FloatArray,
+    across: FloatArray,
+    mixed: FloatArray,
+    sine: FloatArray,
+    cosine: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Turn covariances from along and across the line of sight to east and north."""
+    ss, cc, sc = sine * sine, cosine * cosine, sine * cosine
+    out[:, 0, 0] = along * ss + across * cc + 2.0 * mixed * sc
+    out[:, 1, 1] = along * cc + across * ss - 2.0 * mixed * sc
+    out[:, 0, 1] = (along - across) * sc + mixed * (cc - ss)
+    out[:, 1, 0] = out[:, 0, 1]
 
 
 def _foot(boxes_xyxy_px: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
-from sightline.inference.camera_fit import FIRST_SOURCE
+from sightline.inference.camera_fit import FIRST_SOURCE, TARGET_PARAMETERS
 from sightline.inference.camera_model import CameraRegressor
 from sightline.inference.pairs import Pairs, scene_pairs
 from sightline.inference.paper import PAPER_MODELS, PaperModel, paper_model
@@ -32,10 +32,10 @@ _UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of the camera as the fit found it.
+    """One unknown of the camera or the target as the fit found it.
 
     Attributes:
-        name: As in `PARAMETERS`.
+        name: As in `PARAMETERS`, then `TARGET_PARAMETERS` where there were boxes.
         value: In ``unit``.
         sigma: Standard deviation, in ``unit``.
         unit: ``"m"``, ``"degrees"``, ``"px"`` or ``""``.
@@ -208,9 +208,12 @@ class Georeferencer:
         boxes = boxes.reshape(-1, 4) if boxes.size == 0 or boxes.ndim == 1 else boxes
         check_boxes(boxes)
         if isinstance(self.regressor, CameraRegressor):
-            places, covariance = self.regressor.predict(boxes, source=source, return_cov=True)
+            places, covariance, shared = self.regressor.predict(
+                boxes, source=source, return_shared=True
+            )
         else:
             places, covariance = self.regressor.predict(boxes)
+            shared = None
         foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
         known = np.isfinite(places[:, 0])
         return Positions(
@@ -219,6 +222,7 @@ class Georeferencer:
             covariance_m2=covariance,
             extrapolated=~(known & self.support.holds(foot)),
             plane=self.plane,
+            shared_covariance_m2=shared,
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -403,6 +407,12 @@ def _camera_report(
         parameters.append(
             Parameter(name, value, float(sigma[i] * scale), unit, bool(determined[i]))
         )
+    if len(pairs):
+        known = fitted.target_determined()
+        for i, name in enumerate(TARGET_PARAMETERS):
+            at = len(PARAMETERS) + i
+            value = float(fitted.vector[at])
+            parameters.append(Parameter(name, value, float(sigma[at]), "m", bool(known[i])))
     sources = []
     for i, name in enumerate(regressor.sources_):
         at = FIRST_SOURCE + 2 * i
@@ -437,7 +447,7 @@ def _statements(
     outlier: BoolArray,
 ) -> tuple[str, ...]:
     out = []
-    unknown = [p.name for p in parameters if not p.determined]
+    unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
     if unknown:
         out.append(
             f"The data does not determine {', '.join(unknown)}: what is assumed of an ordinary "

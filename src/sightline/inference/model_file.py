@@ -40,15 +40,16 @@ def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Pa
     tensors = {f"regressor.{name}": np.ascontiguousarray(a) for name, a in arrays.items()}
     tensors["support"] = np.ascontiguousarray(georeferencer.support.planes)
     with atomic_path(path) as temporary:
-        save_file(
-            tensors,
-            temporary,
-            metadata={
-                "format": FORMAT,
-                "format_version": str(FORMAT_VERSION),
-                "content": json.dumps(content, allow_nan=False),
-            },
-        )
+        metadata = {
+            "format": FORMAT,
+            "format_version": str(FORMAT_VERSION),
+            "content": json.dumps(content, allow_nan=False),
+        }
+        try:
+            save_file(tensors, temporary, metadata=metadata)
+        except SafetensorError as error:
+            # So are failures of the operating system called there.
+            raise OSError(str(error)) from error
     return Path(path)
 
 

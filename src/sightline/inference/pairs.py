@@ -77,7 +77,7 @@ def scene_pairs(
             boxes = Boxes.concatenate([boxes, extra[recording.name]])
         place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
         rows = place.matched
-        if not rows.any():
+        if len(boxes) and not rows.any():
             silent.append(recording)
         parts.append(
             Pairs(

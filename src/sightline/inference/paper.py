@@ -108,6 +108,10 @@ class PaperModel:
                 f"all {len(boxes)} boxes have the same middle; "
                 "a model needs boxes from different parts of the image"
             )
+        if (np.ptp(places, axis=0) == 0.0).all():
+            raise FitError(
+                f"all {len(boxes)} fixes lie in one place; a model needs a target that moves"
+            )
         largest = np.abs(places).max(axis=0)
         self._distance_scale_m = np.where(largest > 0.0, largest, 1.0)
         self.estimator.fit(centres, places / self._distance_scale_m)
