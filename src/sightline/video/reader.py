@@ -11,8 +11,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import av
-import cv2
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps
 
 from sightline.clock import Clock
 from sightline.errors import InputError
@@ -141,10 +142,17 @@ def _from_folder(folder: Path) -> Iterator[Frame]:
 
 def _pictures(numbered: dict[int, Path]) -> Iterator[Frame]:
     for index in sorted(numbered):
-        image = cv2.imread(str(numbered[index]), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InputError(f"{numbered[index]}: is no picture that can be read, or is damaged")
-        yield Frame(index, np.nan, image.astype(np.uint8, copy=False))
+        yield Frame(index, np.nan, _picture(numbered[index]))
+
+
+def _picture(path: Path) -> NDArray[np.uint8]:
+    """(H, W, 3) BGR. OpenCV would show what there is of a picture that is cut short."""
+    try:
+        with Image.open(path) as stored:
+            upright = ImageOps.exif_transpose(stored).convert("RGB")
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path}: is no picture that can be read, or is damaged") from error
+    return np.ascontiguousarray(np.asarray(upright)[..., ::-1])
 
 
 def _from_container(name: str, start_utc_s: float | None) -> Iterator[Frame]:
