@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import traceback
 from typing import Any
@@ -22,6 +23,8 @@ from sightline.errors import SightlineError
 
 # What is wrong with a command line: typer brings it along under a private name.
 _CommandError: Any = typer.BadParameter.__mro__[2]
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 app = typer.Typer(
     name="sightline",
@@ -72,6 +75,10 @@ def _run(arguments: list[str] | None) -> int:
         # Whoever read the output has read enough.
         sys.stdout = None
         return 0
+    except OSError as error:
+        if error.errno not in _NO_ROOM:
+            raise
+        return _refuse(f"the output cannot be written: {error.strerror}")
     return status if isinstance(status, int) else 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,8 +21,15 @@ from sightline.evaluation.comparison import number, percent
 from sightline.evaluation.report import Report, write_json
 from sightline.pipeline import Progress as Tell
 
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Let `main` decide that this is no error."""
+        raise BrokenPipeError
+
+
 # A file is as wide as a table wants.
-stdout = Console(width=None if sys.stdout.isatty() else 200)
+stdout = _Console(width=None if sys.stdout.isatty() else 200)
 stderr = Console(stderr=True)
 
 
@@ -83,6 +90,18 @@ def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
     """Write a command's result where ``--json`` says, if it does."""
     if path is not None:
         write_json(path, content)
+
+
+def keep_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | None]) -> None:
+    """Refuse to write a result over what it is made from.
+
+    Raises:
+        InputError: An output is an input.
+    """
+    read = {Path(path).resolve() for path in inputs if path is not None}
+    for path in outputs:
+        if path is not None and path.resolve() in read:
+            raise InputError(f"{path}: is read by this command; give the result another name")
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, SeedOption, progress, say, stdout
+from sightline.cli.common import JsonOption, SeedOption, keep_apart, progress, say, stdout
 from sightline.evaluation.comparison import overview_table, paper_table
 from sightline.evaluation.page import write_page
 from sightline.evaluation.plots import MapPanel, map_figure, save_figure
@@ -43,20 +43,22 @@ def compare(
 ) -> None:
     """Leave one recording out at a time, and print the paper's Table 2."""
     names = tuple(name.strip() for name in models.split(",") if name.strip())
+    keep_apart([map_file, report, json], [scene])
     loaded = Scene.load(scene)
     with progress() as tell:
         result, placed = compare_models(
             loaded, names, trajectory=trajectory, seed=seed, progress=tell
         )
-    stdout.print(overview_table(result, "single boxes, each recording left out"))
-    stdout.print(paper_table(result.models, "without the trajectory stage"))
-    stdout.print(paper_table(result.smoothed, "with the trajectory stage"))
+    if json is not None:
+        result.write(json)
     if map_file is not None:
         panels = [MapPanel(name, single_pairs(parts)) for name, parts in placed.items()]
         save_figure(map_figure(panels), map_file)
-        say(f"map: {map_file}")
     if report is not None:
         write_page(compare_page(result, placed, loaded.camera.name or scene.stem), report)
-        say(f"report: {report}")
-    if json is not None:
-        result.write(json)
+    stdout.print(overview_table(result, "single boxes, each recording left out"))
+    stdout.print(paper_table(result.models, "without the trajectory stage"))
+    stdout.print(paper_table(result.smoothed, "with the trajectory stage"))
+    for what, path in (("map", map_file), ("report", report)):
+        if path is not None:
+            say(f"{what}: {path}")

@@ -49,6 +49,7 @@ def demo(
         result = run_scene(Scene.load(made.scene), seed=seed, progress=tell)
         tell("writing the results", float("nan"))
         paths = write_run(result, folder / "results")
+    write_result(json, result_dict(result, paths))
     say(f"A harbour was simulated in {folder / 'harbour'}.")
     camera = result.model.camera
     truth = made.harbour.camera
@@ -60,4 +61,3 @@ def demo(
         )
     tell_result(result, paths)
     say(f"\nOpen {paths['report']} in a browser.")
-    write_result(json, result_dict(result, paths))

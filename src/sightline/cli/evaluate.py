@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, describe, say
+from sightline.cli.common import JsonOption, describe, keep_apart, say
 from sightline.errors import InputError
-from sightline.evaluation.report import Report
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY
 from sightline.pipeline import evaluate as evaluate_any
@@ -48,6 +47,7 @@ def evaluate(
     json: JsonOption = None,
 ) -> None:
     """Score tracks against a log, or a fitted model against a scene's boxes and logs."""
+    keep_apart([json], [what, fixes, model])
     if what.suffix.lower() == ".toml":
         if model is None:
             raise InputError("a scene is scored with a fitted model; give --model MODEL")
@@ -60,7 +60,6 @@ def evaluate(
             trajectory=trajectory,
             delta_s=delta_s,
         )
-        _print(report, "trajectories" if smooth else "single boxes")
     else:
         if fixes is None:
             raise InputError("tracks are scored against a log; give --fixes LOG")
@@ -69,15 +68,13 @@ def evaluate(
         report = evaluate_any(tracks, fixes=fixes, track_id=track_id, mmsi=mmsi, delta_s=delta_s)
         if plane is None:
             report = report.without_camera()
-        _print(report, "tracks")
-        if report.tracks is not None:
-            used = ", ".join(str(number) for number in report.tracks.used)
-            say(f"track {used}, chosen by {report.tracks.chosen_by}")
     if json is not None:
         report.write(json)
-
-
-def _print(report: Report, what: str) -> None:
-    say(describe(report, what))
+    if report.tracks is not None:
+        say(describe(report, "tracks"))
+        used = ", ".join(str(number) for number in report.tracks.used)
+        say(f"track {used}, chosen by {report.tracks.chosen_by}")
+    else:
+        say(describe(report, "trajectories" if smooth else "single boxes"))
     for name, part in report.recordings.items():
         say("  " + describe(part, name))

@@ -11,6 +11,7 @@ from sightline.cli.common import (
     JsonOption,
     ModelNameOption,
     SeedOption,
+    keep_apart,
     progress,
     say,
     write_result,
@@ -33,11 +34,13 @@ def fit(
     json: JsonOption = None,
 ) -> None:
     """Learn where a box in the image lies on the earth."""
+    keep_apart([output, json], [scene])
     with progress() as tell:
         tell(f"fitting {model}", float("nan"))
         fitted = fit_scene(Scene.load(scene), model, seed=seed)
         fitted.save(output)
     report = fitted.report
+    write_result(json, {"model": str(output), "fit": report.to_dict()})
     points = f"{report.control_points} control points"
     if report.n:
         more = f" and {points}" if report.control_points else ""
@@ -62,4 +65,3 @@ def fit(
     for statement in report.statements:
         say(f"note: {statement}")
     say(f"model: {output}")
-    write_result(json, {"model": str(output), "fit": report.to_dict()})

@@ -13,6 +13,7 @@ from sightline.cli.common import (
     SeedOption,
     describe,
     folder_for_results,
+    keep_apart,
     progress,
     say,
     write_result,
@@ -40,6 +41,7 @@ def run(
     json: JsonOption = None,
 ) -> None:
     """The main job: detect where there are no boxes, fit, track, smooth, evaluate."""
+    keep_apart([json], [scene])
     loaded = Scene.load(scene)
     with folder_for_results(output) as folder, progress() as tell:
         result = run_scene(
@@ -52,8 +54,8 @@ def run(
         )
         tell("writing the results", float("nan"))
         paths = write_run(result, folder)
-    tell_result(result, paths)
     write_result(json, result_dict(result, paths))
+    tell_result(result, paths)
 
 
 def tell_result(result: RunResult, paths: dict[str, Path]) -> None:

@@ -46,7 +46,7 @@ def simulate(
             video=video,
             progress=lambda share: tell("rendering", share),
         )
-    say(f"scene: {made.scene}")
     write_result(
         json, {"scene": str(made.scene), "recordings": [one.name for one in made.recordings]}
     )
+    say(f"scene: {made.scene}")

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sightline import formats
-from sightline.cli.common import JsonOption, parse_time, progress, say, write_result
+from sightline.cli.common import JsonOption, keep_apart, parse_time, progress, say, write_result
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
@@ -52,6 +52,7 @@ def track(
 ) -> None:
     """Make smooth tracks of everything in a video, a stream or a table of boxes."""
     output = [*output, *(more or [])]
+    keep_apart([*output, json], [source, model, clock])
     fitted = load_model(model)
     if "://" not in source and not Path(source).exists():
         raise InputError(f"{source}: there is no such video, folder or table")
@@ -72,7 +73,7 @@ def track(
             count, points = count + 1, points + len(made)
             for writer in writers:
                 writer.add(made)
+    write_result(json, {"tracks": count, "points": points, "files": [str(path) for path in output]})
     say(f"{count} tracks, {points} points")
     for path in output:
         say(f"tracks: {path}")
-    write_result(json, {"tracks": count, "points": points, "files": [str(path) for path in output]})
