@@ -14,6 +14,7 @@ from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import Pairs, pair_track
 from sightline.evaluation.page import (
     ModelRow,
+    OutlierRow,
     PageFigure,
     ReportPage,
     SourceRow,
@@ -31,6 +32,7 @@ from sightline.evaluation.report import Report
 from sightline.inference.camera_model import CameraRegressor
 from sightline.inference.georeferencer import Georeferencer
 from sightline.pipeline import Placed, RunResult
+from sightline.types import NO_FRAME
 
 _WORDS = {
     "height_m": "height above the water or road",
@@ -76,6 +78,7 @@ def run_page(result: RunResult) -> ReportPage:
         model_name=model.model,
         model=_model_rows(model),
         sources=_source_rows(model),
+        outliers=_outlier_rows(model),
         statements=model.report.statements,
         warnings=warnings,
         figures=_figures(positions),
@@ -245,6 +248,20 @@ def _source_rows(model: Georeferencer) -> list[SourceRow]:
             sigma_px=float(np.hypot(source.sigma_px, source.sigma_m * pixels_per_metre)),
         )
         for source in model.report.sources
+    ]
+
+
+def _outlier_rows(model: Georeferencer) -> list[OutlierRow]:
+    return [
+        OutlierRow(
+            recording=box.recording,
+            frame=box.frame if box.frame != NO_FRAME else None,
+            time_utc_s=float("nan"),
+            source=box.source or "(unnamed)",
+            residual_px=box.residual_px,
+        )
+        for box in model.report.boxes
+        if box.outlier
     ]
 
 

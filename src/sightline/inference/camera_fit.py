@@ -332,7 +332,7 @@ def fit_camera(
         if noise is None:
             estimated = problem.estimate_noise(vector, estimated)
     vector[3] = np.mod(vector[3], 2.0 * np.pi)
-    # The noise was found from the best start's camera; with it the others go on from where they are.
+    # The noise came from the best start; under it the others go on from where they are.
     ends = [problem.solve(end, estimated, evaluations=100) for _, end in found]
     return problem.summarise(
         vector, estimated, [end for _, end in filter(None, ends)], max(starts, 1)

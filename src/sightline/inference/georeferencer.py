@@ -80,6 +80,8 @@ class FittedBox:
         frame: Its frame, -1 if it had none.
         source: Who made it.
         error_m: Between the model's place and the log's.
+        residual_px: Between its foot and where the camera expects it, pixels; NaN where the model
+            has no camera.
         leverage: How much of the fit hangs on it, NaN where the model does not tell.
         outlier: Whether the fit took it for one.
     """
@@ -88,6 +90,7 @@ class FittedBox:
     frame: int
     source: str
     error_m: float
+    residual_px: float
     leverage: float
     outlier: bool
 
@@ -148,7 +151,7 @@ class FitReport:
         fields["parameters"] = tuple(Parameter(**p) for p in fields["parameters"])
         fields["sources"] = tuple(SourceBias(**s) for s in fields["sources"])
         fields["boxes"] = tuple(
-            FittedBox(**{**b, "error_m": number(b["error_m"]), "leverage": number(b["leverage"])})
+            FittedBox(**{**b, **{k: number(b[k]) for k in ("error_m", "residual_px", "leverage")}})
             for b in fields["boxes"]
         )
         return cls(**fields)
@@ -364,9 +367,11 @@ def _report(
     error = np.hypot(*(places - pairs.east_north_m).T)
     n = len(pairs)
     leverage, outlier = np.full(n, np.nan), np.zeros(n, dtype=bool)
+    residual = np.full(n, np.nan)
     more: dict[str, Any] = {}
     if isinstance(regressor, CameraRegressor):
         leverage, outlier = regressor.fit_.leverage[:n], regressor.fit_.outlier[:n]
+        residual = np.hypot(*regressor.fit_.residual_px[:n].T)
         more = _camera_report(regressor, pairs, control_points, outlier)
     return FitReport(
         model=model,
@@ -382,6 +387,7 @@ def _report(
                 frame=int(pairs.boxes.frame[i]),
                 source=str(pairs.boxes.source[i]),
                 error_m=float(error[i]),
+                residual_px=float(residual[i]),
                 leverage=float(leverage[i]),
                 outlier=bool(outlier[i]),
             )
