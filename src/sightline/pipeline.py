@@ -27,7 +27,7 @@ from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferenc
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
 from sightline.scene import Recording, Scene, check_inside
-from sightline.tracking import ImageTracker, ImageTrackerSettings
+from sightline.tracking import ImageTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.types import NO_TRACK, Boxes, Fixes, FloatArray, Frame, Track
@@ -42,7 +42,9 @@ _CHUNK_ROWS = 20_000
 _MOST_PARTS = 256
 _LOOKED_AT = 5
 _LEAST_INTERVAL_S = 0.001
-_SELDOM_S = ImageTrackerSettings().coast_unconfirmed_s
+_LOOKED_AT_BOXES = 1000
+# In a longer time a boat moves by more than its length.
+_SELDOM_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -310,41 +312,38 @@ def _follow(
         settings: How boxes become tracks.
         highest_id: Of the boxes' track ids; those without one are of no target. `NO_TRACK`: none
             has one, and a tracker gives them.
-    """
-    if highest_id == NO_TRACK:
-        batches = _followed(batches)
-    book = _OpenTracks(settings, highest_id)
-
-    def finish(ended: Iterable[tuple[int, Boxes]]) -> Iterator[Track]:
-        for number, boxes in ended:
-            made = smooth_boxes(
-                boxes, model, smoother, settings, track_id=number, shortest_s=settings.shortest_s
-            )
-            if made is not None:
-                yield made
-
-    for batch in batches:
-        yield from finish(book.add(batch))
-    yield from finish(book.close())
-
-
-def _followed(batches: Iterator[Boxes]) -> Iterator[Boxes]:
-    """Boxes with the ids that a tracker gives them; the boxes of one time after another.
 
     Raises:
         _SeldomError: No target could be followed, since the boxes come too seldom.
     """
-    tracker = ImageTracker()
     first_s: list[float] = []
-    anything = False
-    for boxes in _moments(batches):
-        followed = tracker.update(boxes)
-        anything |= len(followed) > 0
-        if not anything:
-            first_s.append(float(boxes.time_utc_s[0]))
-        yield followed
-    if not anything:
+    if highest_id == NO_TRACK:
+        batches = _followed(batches, first_s)
+    book = _OpenTracks(settings, highest_id)
+    count = 0
+    for number, boxes in book.ended(batches):
+        made = smooth_boxes(
+            boxes, model, smoother, settings, track_id=number, shortest_s=settings.shortest_s
+        )
+        if made is not None:
+            count += 1
+            yield made
+    if count == 0:
         _refuse_seldom(first_s, "boxes")
+
+
+def _followed(batches: Iterator[Boxes], first_s: list[float]) -> Iterator[Boxes]:
+    """Boxes with the ids that a tracker gives them; the boxes of one time after another.
+
+    Args:
+        batches: In the order of time from one to the next.
+        first_s: Is given the first of their times.
+    """
+    tracker = ImageTracker()
+    for boxes in _moments(batches):
+        if len(first_s) < _LOOKED_AT_BOXES:
+            first_s.append(float(boxes.time_utc_s[0]))
+        yield tracker.update(boxes)
 
 
 def _moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
@@ -375,8 +374,14 @@ class _OpenTracks:
         self._first_s: dict[int, float] = {}
         self._last_s: dict[int, float] = {}
 
-    def add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
-        """Take boxes with ids, and give back the targets that have gone."""
+    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """Take boxes with ids, and give back the boxes of each target when it has gone."""
+        for batch in batches:
+            yield from self._add(batch)
+        for key in list(self._parts):
+            yield self._end(key)
+
+    def _add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
         if not len(batch):
             return []
         ended: list[tuple[int, Boxes]] = []
@@ -393,10 +398,6 @@ class _OpenTracks:
         now = float(batch.time_utc_s[-1])
         limit = self._settings.ends_after_s
         return ended + [self._end(k) for k in list(self._parts) if now - self._last_s[k] > limit]
-
-    def close(self) -> list[tuple[int, Boxes]]:
-        """All that are left."""
-        return [self._end(key) for key in list(self._parts)]
 
     def _until_cut(self, key: int, times_s: FloatArray) -> int:
         """How many of the next boxes still belong to the open track of a target."""
