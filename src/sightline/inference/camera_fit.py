@@ -80,8 +80,8 @@ class CameraPrior:
     focal_log_sigma: float = 0.3
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
-    half_length_m: tuple[float, float] = (1.5, 1.5)
-    half_beam_m: tuple[float, float] = (0.6, 0.6)
+    half_length_m: tuple[float, float] = (0.0, 2.0)
+    half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3
