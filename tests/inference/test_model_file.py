@@ -127,6 +127,14 @@ def test_numbers_that_are_none_are_refused(saved: Path, tmp_path: Path) -> None:
     assert "not a number" in refused(path)
 
 
+def test_what_a_library_says_in_several_lines_is_one_line(fitted: Any, tmp_path: Path) -> None:
+    path = fitted("gpr").save(tmp_path / "gpr.model")
+    tensors, header = load_file(path), header_of(path)
+    tensors["regressor.inputs"] = tensors["regressor.inputs"].ravel()
+    save_file(tensors, path, metadata=header)
+    assert "Expected 2D array" in refused(path)
+
+
 @pytest.mark.parametrize("name", ["regressor.vector", "regressor.covariance", "support"])
 def test_a_missing_or_a_misshapen_table_is_refused(saved: Path, tmp_path: Path, name: str) -> None:
     path = tmp_path / "changed.model"
@@ -148,6 +156,9 @@ def test_a_missing_or_a_misshapen_table_is_refused(saved: Path, tmp_path: Path, 
         {"image_size_px": [1280]},
         {"settings": {}},
         {"settings": []},
+        {"settings": {"prior": "none"}},
+        {"settings": {"noise": []}},
+        {"settings": {"noise": {"row_px": "wide"}}},
         {"report": {"surprise": 1}},
         {"report": None},
     ],
@@ -157,13 +168,16 @@ def test_content_that_is_no_model_is_refused(
     saved: Path, tmp_path: Path, change: dict[str, Any]
 ) -> None:
     header = header_of(saved)
-    header["content"] = json.dumps({**json.loads(header["content"]), **change})
+    content = json.loads(header["content"])
+    if change.get("settings"):
+        change = {"settings": {**content["settings"], **change["settings"]}}
+    header["content"] = json.dumps({**content, **change})
     path = tmp_path / "changed.model"
     save_file(load_file(saved), path, metadata=header)
     assert "damaged" in refused(path)
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", "null", "7"])
+@pytest.mark.parametrize("content", ["", "{", "[]", "null", "7", "[" * 100_000], ids=range(6))
 def test_content_that_is_no_table_is_refused(saved: Path, tmp_path: Path, content: str) -> None:
     path = tmp_path / "changed.model"
     save_file(load_file(saved), path, metadata={**header_of(saved), "content": content})

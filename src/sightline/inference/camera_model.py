@@ -459,7 +459,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             covariance=np.array(arrays["covariance"], dtype=np.float64).reshape(size, size),
             prior_sigma=np.array(arrays["prior_sigma"], dtype=np.float64).reshape(size),
             clock_groups=clock_groups,
-            noise=PixelNoise(**settings["noise"]),
+            noise=PixelNoise(**{name: float(v) for name, v in settings["noise"].items()}),
             image_size_px=model.image_size_px,
             residual_px=np.empty((0, 2)),
             standard_residual=nothing,

@@ -22,6 +22,15 @@ from sightline.inference.support import Support
 FORMAT = "sightline-model"
 FORMAT_VERSION = 1
 
+_DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+
 
 def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Path:
     """Write a georeferencer, whole or not at all.
@@ -71,8 +80,10 @@ def load_model(path: str | os.PathLike[str]) -> Georeferencer:
         )
     try:
         return _build(json.loads(metadata["content"]), tensors)
-    except (LookupError, TypeError, ValueError, ArithmeticError, SightlineError) as error:
-        raise ModelFileError(f"{path}: is damaged ({error}); fit the model again") from error
+    except (*_DAMAGE, SightlineError) as error:
+        # What libraries say about an array can run over several lines.
+        reason = " ".join(str(error).split())
+        raise ModelFileError(f"{path}: is damaged ({reason}); fit the model again") from error
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
