@@ -83,7 +83,7 @@ def test_halves_of_the_boxes_agree_with_all_of_them(
         for name in np.unique(pairs.recording):
             own = rng.permutation(np.flatnonzero(pairs.recording == name))
             rows.append(own[: max(1, own.size // 2)])
-        half = fit_pairs(scene, pairs[np.sort(np.concatenate(rows))], starts=4)
+        half = fit_pairs(scene, pairs[np.sort(np.concatenate(rows))], starts=1)
         off = half.vector[:count] - full.vector[:count]
         off[3] = np.arctan2(np.sin(off[3]), np.cos(off[3]))
         variance = np.diag(half.covariance)[:count] + np.diag(full.covariance)[:count]
