@@ -221,7 +221,6 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
 def test_outliers_are_flagged_and_do_not_pull_the_camera() -> None:
     for seed in SEEDS:
         world = plant(seed)
-        clean = fit_world(world, starts=2)
         rng = np.random.default_rng([seed, 73])
         struck = rng.choice(len(world.sightings), 8, replace=False)
         pixel = world.sightings.pixel_px.copy()
@@ -235,8 +234,8 @@ def test_outliers_are_flagged_and_do_not_pull_the_camera() -> None:
         )
         assert fit.outlier[struck].all()
         assert np.delete(fit.outlier, struck).sum() <= 1
-        moved = difference(fit, clean.camera)
-        assert (np.abs(moved) < 1.5 * np.sqrt(np.diag(fit.covariance)[: moved.size])).all()
+        moved = difference(fit, world.camera)
+        assert (np.abs(moved) < 3.5 * np.sqrt(np.diag(fit.covariance)[: moved.size])).all()
 
 
 def test_too_few_sightings_are_refused() -> None:
