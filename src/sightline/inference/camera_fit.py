@@ -581,8 +581,8 @@ class _Problem:
         weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
         precision = np.where(self.held, self.sigma, np.inf) ** -2.0
         # Errors of one recording are alike, so that it tells less than its number of boxes.
-        share = self._shared_error(standard[:, 1])
-        weight = weight / self._crowding(share)[:, None]
+        shares = [self._shared_error(standard[:, axis]) for axis in (0, 1)]
+        weight = weight / np.stack([self._crowding(share) for share in shares], axis=1)
         scaled = jacobian * (np.sqrt(weight) / sigma)[:, :, None]
         flat = scaled.reshape(-1, vector.size)
         covariance: FloatArray = np.linalg.pinv(
