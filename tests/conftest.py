@@ -3,6 +3,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 
@@ -16,3 +17,8 @@ def data_dir() -> Path:
             f"no real data: {folder} does not exist; set SIGHTLINE_DATA to the folder that has it"
         )
     return folder
+
+
+# How long an example takes is the machine's affair; speed is measured in benchmarks/.
+hypothesis.settings.register_profile("sightline", deadline=None)
+hypothesis.settings.load_profile("sightline")
