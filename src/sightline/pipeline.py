@@ -175,11 +175,13 @@ def _is_table(source: str | os.PathLike[str]) -> bool:
 def _table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
     """The boxes of a table, some thousand rows at a time, in the order of time.
 
+    Boxes without width or height, which some detectors put out, are left out.
+
     Returns:
         The boxes, and the highest track id, `NO_TRACK` if they have none.
     """
     ordered, alone, last, highest_id = True, True, -np.inf, NO_TRACK
-    for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS):
+    for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True):
         if not len(chunk):
             continue
         moment = _moment(chunk)
@@ -190,8 +192,8 @@ def _table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
         last = float(moment[-1])
     if not ordered:
         # Sorted by track, or not at all: only the whole table can be put in order.
-        return _in_hand(formats.read_boxes(path))
-    chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS)
+        return _in_hand(formats.read_boxes(path, skip_empty=True))
+    chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True)
     if alone and highest_id == NO_TRACK:
         return (_as_one_target(chunk) for chunk in chunks), 1
     return chunks, highest_id

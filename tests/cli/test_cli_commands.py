@@ -364,6 +364,28 @@ def test_evaluate_tracks_of_others(sightline: Command, harbour: Path, tmp_path: 
     assert result["coverage"]["p95"] is None
 
 
+def test_boxes_without_height_are_left_out_and_said_once(
+    sightline: Command, harbour: Path, tmp_path: Path
+) -> None:
+    path = harbour / "boxes" / "01.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, "100,10,20,30,20,annotator"]) + "\n")
+    done = sightline(
+        *("track", path, "--model", harbour / "camera.safetensors"),
+        *("--clock", harbour / "clock" / "01.csv", "-o", tmp_path / "t.csv"),
+    )
+    assert done.status == 0
+    assert done.err == f"warning: {path}: 1 boxes without width or height are left out\n"
+    (track,) = Tracks.read(tmp_path / "t.csv")
+    assert len(track) <= len(lines) - 1
+
+
+def test_no_command_shows_what_there_is(sightline: Command) -> None:
+    done = sightline()
+    assert (done.status, done.err) == (2, "")
+    assert "compare" in done.out
+
+
 @pytest.mark.parametrize(("flag", "said"), [("--help", "compare"), ("--version", "sightline 0")])
 def test_what_the_command_says_of_itself(sightline: Command, flag: str, said: str) -> None:
     done = sightline(flag)

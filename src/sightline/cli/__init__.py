@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import sys
 import traceback
 from typing import Any
@@ -59,7 +60,23 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(_run(arguments))
 
 
+class _Warnings(logging.Handler):
+    """Shows every warning of the library in a line, once: tables are read twice."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self._shown: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        line = record.getMessage()
+        if line not in self._shown:
+            self._shown.add(line)
+            _print_line("[bold yellow]warning:[/]", line)
+
+
 def _run(arguments: list[str] | None) -> int:
+    warnings = _Warnings()
+    logging.getLogger("sightline").addHandler(warnings)
     try:
         status = app(args=arguments, standalone_mode=False)
     except SightlineError as error:
@@ -67,6 +84,7 @@ def _run(arguments: list[str] | None) -> int:
             traceback.print_exc()
         return _refuse(str(error))
     except _CommandError as error:
+        # There is no message where the help was printed, since no command was given.
         return _refuse(error.format_message())
     except (typer.Abort, KeyboardInterrupt):
         common.stderr.print("stopped")
@@ -79,10 +97,17 @@ def _run(arguments: list[str] | None) -> int:
         if error.errno not in _NO_ROOM:
             raise
         return _refuse(f"the output cannot be written: {error.strerror}")
+    finally:
+        logging.getLogger("sightline").removeHandler(warnings)
     return status if isinstance(status, int) else 0
 
 
 def _refuse(message: str) -> int:
-    line = " ".join(message.split())
-    common.stderr.print(f"[bold red]error:[/] {escape(line)}", soft_wrap=True, highlight=False)
+    if message:
+        _print_line("[bold red]error:[/]", message)
     return 2
+
+
+def _print_line(head: str, message: str) -> None:
+    line = " ".join(message.split())
+    common.stderr.print(f"{head} {escape(line)}", soft_wrap=True, highlight=False)
