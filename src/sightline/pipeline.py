@@ -27,7 +27,7 @@ from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferenc
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
 from sightline.scene import Recording, Scene, check_inside
-from sightline.tracking import ImageTracker
+from sightline.tracking import ImageTracker, iou
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.types import NO_TRACK, Boxes, Fixes, FloatArray, Frame, Track
@@ -812,13 +812,9 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
         here = np.flatnonzero(found.frame == frame)
         if not here.size:
             continue
-        others = found.xyxy_px[here]
-        corners = np.minimum(box[2:], others[:, 2:]) - np.maximum(box[:2], others[:, :2])
-        overlap = np.prod(np.maximum(corners, 0.0), axis=1)
-        area = np.prod(others[:, 2:] - others[:, :2], axis=1)
-        union = np.prod(box[2:] - box[:2]) + area - overlap
-        best = int(np.argmax(overlap / union))
-        if overlap[best] >= least_iou * union[best]:
+        overlap = iou(box[None, :], found.xyxy_px[here])[0]
+        best = int(np.argmax(overlap))
+        if overlap[best] >= least_iou:
             rows.append(int(here[best]))
     return found[np.array(sorted(set(rows)), dtype=np.int64)]
 

@@ -1,6 +1,6 @@
 """Stage 2: boxes in, boxes with a track id out."""
 
-from sightline.tracking.image import ImageTracker, ImageTrackerSettings
+from sightline.tracking.image import ImageTracker, ImageTrackerSettings, iou
 from sightline.tracking.tracker import Tracker
 
-__all__ = ["ImageTracker", "ImageTrackerSettings", "Tracker"]
+__all__ = ["ImageTracker", "ImageTrackerSettings", "Tracker", "iou"]

@@ -192,7 +192,7 @@ class ImageTracker:
     def _cost(self, targets: list[_Target], xyxy_px: FloatArray) -> FloatArray:
         """(targets, boxes), the lower the likelier; `_IMPOSSIBLE` outside gate and overlap."""
         predicted = np.stack([target.box for target in targets])
-        overlap = _iou(predicted, xyxy_px)
+        overlap = iou(predicted, xyxy_px)
         centres = 0.5 * (xyxy_px[:, :2] + xyxy_px[:, 2:])
         apart = np.linalg.norm(
             np.stack([target.centre for target in targets])[:, None] - centres[None], axis=2
@@ -213,8 +213,8 @@ def _measure(box: FloatArray) -> tuple[FloatArray, FloatArray]:
     return 0.5 * (box[:2] + box[2:]), np.log(box[2:] - box[:2])
 
 
-def _iou(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(N, M) intersection over union of boxes."""
+def iou(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(N, M) intersection over union of boxes (N, 4) and (M, 4), pixels."""
     low = np.maximum(first[:, None, :2], second[None, :, :2])
     high = np.minimum(first[:, None, 2:], second[None, :, 2:])
     shared = np.maximum(high - low, 0.0).prod(axis=2)
