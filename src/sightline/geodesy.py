@@ -1,4 +1,4 @@
-"""Latitude and longitude <-> metres in a local plane <-> UTM: all that knows of the ellipsoid."""
+"""Latitude and longitude <-> metres in a local plane, and from UTM: all that knows the earth."""
 
 from __future__ import annotations
 
@@ -94,13 +94,6 @@ def _apply(
     return x_out, y_out
 
 
-def utm_crs(latitude_deg: float, longitude_deg: float) -> str:
-    """The EPSG code of the UTM zone (WGS 84) that a place lies in, for example ``"EPSG:32611"``."""
-    check_geographic(latitude_deg, longitude_deg)
-    zone = int((longitude_deg + 180.0) // 6.0) % 60 + 1
-    return f"EPSG:{32600 + zone if latitude_deg >= 0.0 else 32700 + zone}"
-
-
 def from_utm(
     easting_m: ArrayLike, northing_m: ArrayLike, zone: int, *, north: bool = True
 ) -> tuple[FloatArray, FloatArray]:
@@ -125,16 +118,6 @@ def from_utm(
         np.asarray(easting_m, dtype=float), np.asarray(northing_m, dtype=float)
     )
     return np.asarray(latitude), np.asarray(longitude)
-
-
-def to_utm(
-    latitude_deg: ArrayLike, longitude_deg: ArrayLike, crs: str
-) -> tuple[FloatArray, FloatArray]:
-    """Easting and northing, metres, in the UTM zone with an EPSG code: two (N,) float64 arrays."""
-    easting, northing = _transformer("EPSG:4326", crs).transform(
-        np.asarray(longitude_deg, dtype=float), np.asarray(latitude_deg, dtype=float)
-    )
-    return np.asarray(easting), np.asarray(northing)
 
 
 @lru_cache(maxsize=64)

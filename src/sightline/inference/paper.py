@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,24 +21,6 @@ PAPER_MODELS = ("nn", "gpr", "qkr", "qkr+nn", "qkr+gpr")
 
 FEWEST_PAIRS = 7
 """A quadratic in two features has six coefficients; one pair more tells how well they fit."""
-
-
-class PlaneRegressor(Protocol):
-    """Boxes in, places on the camera's plane out."""
-
-    def fit(
-        self,
-        boxes_xyxy_px: FloatArray,
-        east_north_m: FloatArray,
-        *,
-        image_size_px: tuple[int, int],
-    ) -> Self:
-        """Learn from (N, 4) boxes, pixels, and their (N, 2) places, metres east and north."""
-        ...
-
-    def predict(self, boxes_xyxy_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N, 2) metres east and north, and their (N, 2, 2) covariances, square metres."""
-        ...
 
 
 class PaperModel:
