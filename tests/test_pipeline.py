@@ -114,7 +114,7 @@ def test_a_table_in_pieces_gives_the_tracks_of_the_whole(
     # Several boxes a moment, so many a chunk ends between boxes of one time.
     assert np.unique(boxes.time_utc_s).size < len(boxes)
     whole = track(boxes, MODEL, settings=QUICK)
-    monkeypatch.setattr(pipeline, "_CHUNK_ROWS", chunk_rows)
+    monkeypatch.setattr(pipeline.boxes, "_CHUNK_ROWS", chunk_rows)
     pieces = list(iter_tracks(table(tmp_path, boxes), MODEL, settings=QUICK))
     assert len(whole) == 7
     assert_same_tracks(pieces, whole)
@@ -134,7 +134,7 @@ def test_tracks_come_as_soon_as_their_targets_have_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     boxes = traffic(ids=True)
-    monkeypatch.setattr(pipeline, "_CHUNK_ROWS", 20)
+    monkeypatch.setattr(pipeline.boxes, "_CHUNK_ROWS", 20)
     tracks = iter_tracks(table(tmp_path, boxes), MODEL, settings=QUICK)
     ends = [one.time_utc_s[-1] for one in tracks]
     # The one that left first is there first, those that stay to the end come last.
@@ -165,7 +165,7 @@ def test_a_long_track_is_cut(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_rows: int
 ) -> None:
     boxes = crossing(300.0, np.arange(0.0, 100.0, 0.5), track_id=1)
-    monkeypatch.setattr(pipeline, "_CHUNK_ROWS", chunk_rows)
+    monkeypatch.setattr(pipeline.boxes, "_CHUNK_ROWS", chunk_rows)
     settings = replace(QUICK, longest_s=30.0)
     pieces = list(iter_tracks(table(tmp_path, boxes), MODEL, settings=settings))
     assert [one.track_id for one in pieces] == [1, 2, 3, 4]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -305,25 +305,59 @@ def evaluate_tracks(
     logs: list[Fixes] = []
     for name, group in groups.items():
         logs.append(_log_of(fixes, name))
-        paired = {
-            track.track_id: pair_track(track, logs[-1], largest_gap_s=largest_gap_s)
-            for track in group
-        }
-        if len(paired) < len(group):
-            raise InputError(f"{_where(name)}two tracks have the same id")
-        overlapping = {number: pairs for number, pairs in paired.items() if len(pairs)}
-        if wanted is not None:
-            chosen, by = [number for number in paired if number in wanted], "track_id"
-        else:
-            chosen = _nearest(overlapping, least_overlap_s)
-            by = "smallest median error"
-        parts[name] = Pairs.concatenate(paired[number] for number in chosen)
-        used[name] = TracksUsed(tuple(chosen), len(overlapping), by)
+        parts[name], used[name] = pair_target(
+            group,
+            logs[-1],
+            wanted=wanted,
+            largest_gap_s=largest_gap_s,
+            least_overlap_s=least_overlap_s,
+            where=_where(name),
+        )
     times = np.concatenate([track.time_utc_s for track in everyone])
     _refuse_nothing(Pairs.concatenate(parts.values()), times, logs, largest_gap_s)
     if not isinstance(tracks, Mapping):
         return summarise(parts[""], delta_s=delta_s, largest_gap_s=largest_gap_s, tracks=used[""])
     return summarise(parts, delta_s=delta_s, largest_gap_s=largest_gap_s, tracks=used)
+
+
+def pair_target(
+    tracks: Iterable[Track],
+    fixes: Fixes,
+    *,
+    wanted: Collection[int] | None = None,
+    largest_gap_s: float = LARGEST_GAP_S,
+    least_overlap_s: float = LEAST_OVERLAP_S,
+    where: str = "",
+) -> tuple[Pairs, TracksUsed]:
+    """The pairs of a log and those tracks that are its target; see `evaluate_tracks`.
+
+    Args:
+        tracks: Of one recording.
+        fixes: The log.
+        wanted: The ids of the target's tracks; absent: the nearest track is the target.
+        largest_gap_s: Times between fixes that are further apart are not compared.
+        least_overlap_s: Seconds.
+        where: Begins the message: the recording.
+
+    Returns:
+        The pairs, none where no track overlaps the log, and which tracks they are of.
+
+    Raises:
+        InputError: Two tracks have the same id.
+    """
+    paired: dict[int, Pairs] = {}
+    for track in tracks:
+        if track.track_id in paired:
+            raise InputError(f"{where}two tracks have the same id")
+        paired[track.track_id] = pair_track(track, fixes, largest_gap_s=largest_gap_s)
+    overlapping = {number: pairs for number, pairs in paired.items() if len(pairs)}
+    if wanted is not None:
+        chosen, by = [number for number in paired if number in wanted], "track_id"
+    else:
+        chosen = _nearest(overlapping, least_overlap_s)
+        by = "smallest median error"
+    pairs = Pairs.concatenate(paired[number] for number in chosen)
+    return pairs, TracksUsed(tuple(chosen), len(overlapping), by)
 
 
 def _wanted(track_id: int | Iterable[int] | None, tracks: list[Track]) -> set[int] | None:

@@ -1,0 +1,37 @@
+"""The stages in a row: from a source to boxes, to tracks, to a score, and a whole scene at once."""
+
+from sightline.pipeline.boxes import Progress, detect
+from sightline.pipeline.scoring import (
+    Placed,
+    compare,
+    evaluate,
+    leave_one_out,
+    place_boxes,
+    score,
+)
+from sightline.pipeline.tracking import (
+    DEFAULT_TRAJECTORY,
+    TrackSettings,
+    iter_tracks,
+    smooth_boxes,
+    track,
+)
+from sightline.pipeline.whole import RunResult, run
+
+__all__ = [
+    "DEFAULT_TRAJECTORY",
+    "Placed",
+    "Progress",
+    "RunResult",
+    "TrackSettings",
+    "compare",
+    "detect",
+    "evaluate",
+    "iter_tracks",
+    "leave_one_out",
+    "place_boxes",
+    "run",
+    "score",
+    "smooth_boxes",
+    "track",
+]

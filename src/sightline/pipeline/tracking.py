@@ -1,0 +1,283 @@
+"""From boxes with times to tracks: one id a target, a place a box, a smooth path."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline import video
+from sightline.clock import Clock
+from sightline.detection import Detector
+from sightline.errors import InputError
+from sightline.inference.georeferencer import Georeferencer
+from sightline.pipeline.boxes import (
+    Progress,
+    detect,
+    fit_for_use,
+    frame_count,
+    in_hand,
+    is_table,
+    make_detector,
+    moments,
+    read_table,
+    refuse_seldom,
+    timed,
+)
+from sightline.tracking import ImageTracker
+from sightline.tracks import Tracks
+from sightline.trajectory import TrajectoryMethod, method
+from sightline.types import NO_TRACK, Boxes, FloatArray, Track
+
+DEFAULT_TRAJECTORY = "rts"
+
+_MOST_PARTS = 256
+_LEAST_INTERVAL_S = 0.001
+_LOOKED_AT_BOXES = 1000
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """How boxes become tracks.
+
+    Attributes:
+        trajectory: Name of the trajectory method, ``"rts"`` or ``"paper"``.
+        interval_s: Time between the points of a track; None: a point a box.
+        ends_after_s: A target not seen for as long has gone; its track is smoothed and let go.
+        shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
+        longest_s: A track that lasts longer is cut, and goes on under another number, so that a
+            source without an end fits into memory.
+    """
+
+    trajectory: str = DEFAULT_TRAJECTORY
+    interval_s: float | None = None
+    ends_after_s: float = 20.0
+    shortest_s: float = 2.0
+    longest_s: float = 1800.0
+
+    def __post_init__(self) -> None:
+        # An unknown name is told before any work is done.
+        method(self.trajectory)
+        for name in ("ends_after_s", "longest_s"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} must be positive; it is {getattr(self, name):g} s")
+        if self.interval_s is not None and not _LEAST_INTERVAL_S <= self.interval_s < np.inf:
+            raise InputError(
+                f"interval_s is {self.interval_s:g} s; it must be at least {_LEAST_INTERVAL_S:g} "
+                "s, since files of tracks keep milliseconds"
+            )
+
+
+def track(
+    source: str | os.PathLike[str] | Boxes,
+    model: Georeferencer,
+    *,
+    detector: Detector | str | None = None,
+    clock: Clock | None = None,
+    start_utc_s: float | None = None,
+    settings: TrackSettings | None = None,
+    progress: Progress | None = None,
+) -> Tracks:
+    """Smooth tracks of everything in a source.
+
+    Args:
+        source: A video, a folder of frames, a stream, a table of boxes, or boxes.
+        model: Says where a box lies.
+        detector: Finds boxes in frames; a name, or one's own. Absent: ``"motion"``.
+        clock: Tells the times of frames; absent: the video or the table does.
+        start_utc_s: POSIX seconds of a video's first frame.
+        settings: How boxes become tracks.
+        progress: Told how far it is.
+
+    Raises:
+        InputError: The source cannot be read, or nothing tells its times.
+    """
+    found = iter_tracks(
+        source,
+        model,
+        detector=detector,
+        clock=clock,
+        start_utc_s=start_utc_s,
+        settings=settings,
+        progress=progress,
+    )
+    return Tracks(tuple(found))
+
+
+def iter_tracks(
+    source: str | os.PathLike[str] | Boxes,
+    model: Georeferencer,
+    *,
+    detector: Detector | str | None = None,
+    clock: Clock | None = None,
+    start_utc_s: float | None = None,
+    settings: TrackSettings | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Track]:
+    """As `track`, one track at a time, each as soon as its target has gone; memory stays flat."""
+    settings = settings or TrackSettings()
+    smoother = method(settings.trajectory)
+    table = isinstance(source, Boxes) or is_table(source)
+    if table and start_utc_s is not None:
+        raise InputError(
+            "boxes in a table have no presentation times, so a start time does not tell when they "
+            "were seen; give a clock (frame,utc), or time_utc with the boxes"
+        )
+    if isinstance(source, Boxes):
+        batches, highest_id = in_hand(source)
+    elif table:
+        batches, highest_id = read_table(source)
+    else:
+        frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
+        usable = fit_for_use(frames, model, str(source))
+        batches = detect(usable, make_detector(detector, model), frame_count(source), progress)
+        clock, highest_id = None, NO_TRACK
+    where = "" if isinstance(source, Boxes) else f"{source}: "
+    with_times = (timed(boxes, clock, model, where) for boxes in batches)
+    yield from follow(with_times, model, smoother, settings, highest_id)
+
+
+def follow(
+    batches: Iterator[Boxes],
+    model: Georeferencer,
+    smoother: TrajectoryMethod,
+    settings: TrackSettings,
+    highest_id: int = NO_TRACK,
+) -> Iterator[Track]:
+    """The tracks of boxes, each as soon as its target has gone.
+
+    Args:
+        batches: In the order of time from one to the next.
+        model: Says where a box lies.
+        smoother: Makes a track of positions.
+        settings: How boxes become tracks.
+        highest_id: Of the boxes' track ids; those without one are of no target. `NO_TRACK`: none
+            has one, and a tracker gives them.
+
+    Raises:
+        SeldomError: No target could be followed, since the boxes come too seldom.
+    """
+    first_s: list[float] = []
+    if highest_id == NO_TRACK:
+        batches = _followed(batches, first_s)
+    book = _OpenTracks(settings, highest_id)
+    count = 0
+    for number, boxes in book.ended(batches):
+        made = smooth_boxes(
+            boxes, model, smoother, settings, track_id=number, shortest_s=settings.shortest_s
+        )
+        if made is not None:
+            count += 1
+            yield made
+    if count == 0:
+        refuse_seldom(first_s, "boxes")
+
+
+def _followed(batches: Iterator[Boxes], first_s: list[float]) -> Iterator[Boxes]:
+    """Boxes with the ids that a tracker gives them; the boxes of one time after another.
+
+    Args:
+        batches: In the order of time from one to the next.
+        first_s: Is given the first of their times.
+    """
+    tracker = ImageTracker()
+    for boxes in moments(batches):
+        if len(first_s) < _LOOKED_AT_BOXES:
+            first_s.append(float(boxes.time_utc_s[0]))
+        yield tracker.update(boxes)
+
+
+class _OpenTracks:
+    """Boxes of targets that are still there, by track id."""
+
+    def __init__(self, settings: TrackSettings, highest_id: int) -> None:
+        self._settings = settings
+        self._highest_id = highest_id
+        self._spare = itertools.count(max(highest_id, 0) + 1)
+        self._used: set[int] = set()
+        self._parts: dict[int, list[Boxes]] = {}
+        self._first_s: dict[int, float] = {}
+        self._last_s: dict[int, float] = {}
+
+    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """Take boxes with ids, and give back the boxes of each target when it has gone."""
+        for batch in batches:
+            yield from self._add(batch)
+        for key in list(self._parts):
+            yield self._end(key)
+
+    def _add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
+        if not len(batch):
+            return []
+        ended: list[tuple[int, Boxes]] = []
+        batch = batch[np.argsort(batch.time_utc_s, kind="stable")]
+        for key in np.unique(batch.track_id[batch.track_id != NO_TRACK]).tolist():
+            own = batch[batch.track_id == key]
+            while len(own):
+                rows = self._until_cut(key, own.time_utc_s)
+                if rows:
+                    self._take(key, own[:rows])
+                    own = own[rows:]
+                if len(own):
+                    ended.append(self._end(key))
+        now = float(batch.time_utc_s[-1])
+        limit = self._settings.ends_after_s
+        return ended + [self._end(k) for k in list(self._parts) if now - self._last_s[k] > limit]
+
+    def _until_cut(self, key: int, times_s: FloatArray) -> int:
+        """How many of the next boxes still belong to the open track of a target."""
+        first_s = self._first_s.get(key, float(times_s[0]))
+        before = np.r_[self._last_s.get(key, times_s[0]), times_s[:-1]]
+        cut = times_s - before > self._settings.ends_after_s
+        cut |= times_s - first_s > self._settings.longest_s
+        return int(np.argmax(cut)) if cut.any() else len(times_s)
+
+    def _take(self, key: int, boxes: Boxes) -> None:
+        parts = self._parts.setdefault(key, [])
+        parts.append(boxes)
+        if len(parts) == _MOST_PARTS:
+            # A table of one row is a hundred times its row.
+            parts[:] = [Boxes.concatenate(parts)]
+        self._first_s.setdefault(key, float(boxes.time_utc_s[0]))
+        self._last_s[key] = float(boxes.time_utc_s[-1])
+
+    def _end(self, key: int) -> tuple[int, Boxes]:
+        del self._first_s[key], self._last_s[key]
+        return self._number(key), Boxes.concatenate(self._parts.pop(key))
+
+    def _number(self, key: int) -> int:
+        """The id of a track: the boxes' own where they have one, another when a target returns."""
+        if key > self._highest_id or key in self._used:
+            return next(self._spare)
+        self._used.add(key)
+        return key
+
+
+def smooth_boxes(
+    boxes: Boxes,
+    model: Georeferencer,
+    smoother: TrajectoryMethod,
+    settings: TrackSettings,
+    *,
+    track_id: int,
+    shortest_s: float = 0.0,
+) -> Track | None:
+    """The smooth track of one target's boxes; None where they have positions for too short."""
+    positions = model.locate(boxes.xyxy_px, boxes.source)
+    times = boxes.time_utc_s[positions.known]
+    if not times.size or np.ptp(times) < shortest_s:
+        return None
+    at = None
+    if settings.interval_s is not None:
+        at = np.arange(times.min(), times.max() + 1e-9, settings.interval_s)
+    return smoother.apply(
+        boxes.time_utc_s,
+        positions,
+        confidence=boxes.confidence,
+        at_utc_s=at,
+        track_id=track_id,
+        label=str(boxes.label[0]),
+    )
