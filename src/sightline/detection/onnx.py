@@ -1,0 +1,492 @@
+"""Any detector in an ONNX file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.detection.classes import names_for
+from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
+from sightline.detection.horizon import HorizonFinder
+from sightline.detection.letterbox import Letterbox
+from sightline.detection.metadata import InputFormat, read_metadata, ultralytics_names
+from sightline.detection.views import (
+    Horizon,
+    View,
+    ViewSettings,
+    merge,
+    place,
+    plan_views,
+)
+from sightline.errors import InputError, unknown_name
+from sightline.types import Boxes, FloatArray, Frame, IntArray
+
+PROVIDERS = {
+    "cpu": "CPUExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+}
+"""What a network runs on, and ONNX Runtime's name for it."""
+
+DEFAULT_THRESHOLD = 0.25
+
+_MOST_CANDIDATES = 3000
+_DUMMY_PX = 320
+_SIZES_INPUT = "orig_target_sizes"
+_TYPES = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(uint8)": np.uint8,
+}
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """How a detector in an ONNX file is run; what is absent is as the file says, or as is usual.
+
+    Attributes:
+        provider: One of `PROVIDERS`. Absent: a GPU where ONNX Runtime has one, or else the CPU.
+        decoder: Name of what its outputs mean. Absent: seen from the outputs.
+        classes: Names of the classes that are looked for. Absent: those that the file is for.
+        threshold: Least confidence of a box.
+        overlap: Boxes of a class that overlap by more (intersection over union) are of one thing.
+        views: Which parts of a frame are looked at. Absent: the strip around the horizon and the
+            scaled frame.
+        threads: Of the CPU. Absent: as many as there are cores.
+    """
+
+    provider: str | None = None
+    decoder: str | None = None
+    classes: tuple[str, ...] | None = None
+    threshold: float | None = None
+    overlap: float = 0.45
+    views: ViewSettings | None = None
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.provider is not None and self.provider not in PROVIDERS:
+            raise unknown_name("provider", self.provider, tuple(PROVIDERS))
+        if self.decoder is not None:
+            decoder_by_name(self.decoder)
+        if self.threshold is not None and not 0.0 <= self.threshold <= 1.0:
+            raise InputError(f"threshold is {self.threshold:g}; it must lie between 0 and 1")
+        if not 0.0 < self.overlap <= 1.0:
+            raise InputError(f"overlap is {self.overlap:g}; it must lie between 0 and 1")
+        if self.classes is not None and not self.classes:
+            raise InputError("classes names no class; leave it out to look for all")
+
+
+class OnnxDetector:
+    """A detector in an ONNX file, run by ONNX Runtime.
+
+    Every frame is looked at in several views (see `ViewSettings`), each scaled to what the network
+    takes. Boxes that views have in common are merged by non-maximum suppression.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        name: str | None = None,
+        options: DetectorOptions | None = None,
+        horizon_px: Horizon | None = None,
+    ) -> None:
+        """Load the file, and try it on an empty picture.
+
+        Args:
+            path: The ONNX file.
+            name: The source of its boxes. Absent: the file's name without its ending.
+            options: How it is run.
+            horizon_px: Rows of the horizon at the left and the right edge of the image. Absent: it
+                is found in the first frames.
+
+        Raises:
+            InputError: The file is missing, damaged or no detector, or an option does not fit it.
+        """
+        self.name = name if name is not None else Path(path).stem
+        self._where = os.fspath(path)
+        self._options = options if options is not None else DetectorOptions()
+        self._network = _Network(self._where, self._options)
+        properties = self._network.properties
+        metadata = read_metadata(self._where, properties)
+        labels = metadata.classes if metadata else ultralytics_names(properties)
+        wanted = self._options.decoder or (metadata.decoder if metadata else None)
+        decoder = decoder_by_name(wanted) if wanted else None
+        known = metadata.input if metadata else decoder.input if decoder else InputFormat()
+        self._network.prepare(known)
+        blank = Outputs(
+            names=self._network.output_names,
+            arrays=tuple(self._network.try_out()),
+            input_px=self._network.dummy_px,
+            anchors=metadata.anchors if metadata else None,
+            scale_xy=metadata.scale_xy if metadata else None,
+            labelled=labels is not None,
+        )
+        try:
+            self._decoder: Decoder = decoder or decoder_for(blank)
+            found = self._decoder.of_one(blank, 0)
+        except InputError as error:
+            raise InputError(f"{self._where}: {error}") from error
+        if metadata is None:
+            self._network.prepare(self._decoder.input)
+        self._form = replace(blank, arrays=())
+        count = None if found.listed else found.scores.shape[1]
+        self.classes: tuple[str, ...] = labels or names_for(count, self._decoder.by_category)
+        if labels is not None and count is not None and count != len(labels):
+            raise InputError(
+                f"{self._where}: names {len(labels)} classes and puts out {count}; "
+                f"the outputs are {blank.describe()}"
+            )
+        default = metadata.default_classes if metadata else None
+        self._wanted = self._indices(self._options.classes or default)
+        usual = metadata.score_threshold if metadata else None
+        self.threshold: float = next(
+            value
+            for value in (self._options.threshold, usual, DEFAULT_THRESHOLD)
+            if value is not None
+        )
+        settings = self._options.views or (metadata.views if metadata else None)
+        self._view_settings = settings or ViewSettings()
+        self._given_horizon_px = horizon_px
+        self.reset()
+
+    @property
+    def decoder(self) -> str:
+        """Name of what its outputs were taken for."""
+        return self._decoder.name
+
+    @property
+    def provider(self) -> str:
+        """What it runs on, one of `PROVIDERS`."""
+        return self._network.provider
+
+    def reset(self) -> None:
+        """Forget where the horizon was found; see `Detector`."""
+        self._finder = HorizonFinder()
+        self._planned: tuple[tuple[int, int], Horizon | None] | None = None
+        self._views: tuple[View, ...] = ()
+        self._boxes_of: tuple[Letterbox, ...] = ()
+
+    def detect(self, frame: Frame) -> Boxes:
+        """The boxes in a frame; see `Detector`."""
+        return self.detect_batch([frame])[0]
+
+    def detect_batch(self, frames: Sequence[Frame]) -> list[Boxes]:
+        """The boxes in each of several frames, in their order, as `detect`.
+
+        Networks that take batches are shown views of the same size at once, which GPUs are quick
+        at.
+        """
+        jobs: list[tuple[int, int, Letterbox, NDArray[np.uint8]]] = []
+        sizes: list[tuple[int, int]] = []
+        plans: list[tuple[View, ...]] = []
+        for number, frame in enumerate(frames):
+            self._plan(frame)
+            height, width = frame.image_bgr.shape[:2]
+            sizes.append((width, height))
+            plans.append(self._views)
+            for i, (view, box) in enumerate(zip(self._views, self._boxes_of, strict=True)):
+                part = frame.image_bgr[view.y : view.y + view.height, view.x : view.x + view.width]
+                jobs.append((number, i, box, box.apply(part, self._network.form.pad)))
+        found = self._run([(box.canvas_px, canvas) for _, _, box, canvas in jobs])
+        per_frame: list[list[tuple[FloatArray, FloatArray, IntArray, int]]] = [[] for _ in frames]
+        for (number, i, box, _), scored in zip(jobs, found, strict=True):
+            xyxy, score, label = self._chosen(scored)
+            view = plans[number][i]
+            xyxy = box.to_picture(xyxy) + np.tile([view.x, view.y], 2)
+            per_frame[number].append((xyxy, score, label, i))
+        return [
+            self._merged(frame, sizes[number], plans[number], per_frame[number])
+            for number, frame in enumerate(frames)
+        ]
+
+    def views(self, frame: Frame) -> tuple[View, ...]:
+        """What of a frame is looked at."""
+        self._plan(frame)
+        return self._views
+
+    def _plan(self, frame: Frame) -> None:
+        """Choose the views anew, where the frame's size or the horizon has changed."""
+        height, width = frame.image_bgr.shape[:2]
+        horizon = self._given_horizon_px
+        if horizon is None and self._view_settings.kind == "strip":
+            horizon = self._finder.look(frame.image_bgr)
+        if self._planned == ((width, height), horizon):
+            return
+        form = self._network.form
+        self._views = plan_views(
+            (width, height),
+            self._view_settings,
+            horizon_px=horizon,
+            input_px=self._network.input_px,
+            stride_px=form.stride,
+        )
+        self._boxes_of = tuple(
+            place(view, self._network.input_px, form.stride, form.centred) for view in self._views
+        )
+        self._planned = ((width, height), horizon)
+
+    def _run(self, canvases: list[tuple[tuple[int, int], NDArray[np.uint8]]]) -> list[Scored]:
+        """What is on each canvas; those of one size together where the network takes batches."""
+        out: list[Scored | None] = [None] * len(canvases)
+        by_size: dict[tuple[int, int], list[int]] = {}
+        for i, (size, _) in enumerate(canvases):
+            by_size.setdefault(size, []).append(i)
+        for size, rows in by_size.items():
+            step = self._network.batch if self._decoder.batched else 1
+            for start in range(0, len(rows), step or len(rows)):
+                some = rows[start : start + (step or len(rows))]
+                arrays = self._network.run([canvases[i][1] for i in some])
+                outputs = replace(self._form, arrays=tuple(arrays), input_px=size)
+                for row, i in enumerate(some):
+                    out[i] = self._decoder.of_one(outputs, row)
+        return [scored for scored in out if scored is not None]
+
+    def _chosen(self, scored: Scored) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Boxes that are confident enough, their scores and their classes."""
+        scores, index = scored.scores, None
+        if self._wanted is not None:
+            index = self._wanted[self._wanted < scores.shape[1]]
+            scores = scores[:, index]
+        if not scores.size:
+            return np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.int64)
+        best = scores.argmax(axis=1)
+        score = scores[np.arange(len(scores)), best]
+        xyxy = scored.xyxy_px
+        # Not-a-number is not at least the threshold either.
+        kept = np.flatnonzero((score >= self.threshold) & (score > 0.0))
+        kept = kept[np.isfinite(xyxy[kept]).all(axis=1)]
+        if kept.size > _MOST_CANDIDATES:
+            kept = kept[np.argsort(-score[kept], kind="stable")[:_MOST_CANDIDATES]]
+        label = best[kept] if index is None else index[best[kept]]
+        return xyxy[kept], np.minimum(score[kept], 1.0), label.astype(np.int64)
+
+    def _merged(
+        self,
+        frame: Frame,
+        frame_px: tuple[int, int],
+        views: tuple[View, ...],
+        parts: Iterable[tuple[FloatArray, FloatArray, IntArray, int]],
+    ) -> Boxes:
+        parts = list(parts)
+        xyxy = np.concatenate([part[0] for part in parts])
+        score = np.concatenate([part[1] for part in parts])
+        label = np.concatenate([part[2] for part in parts])
+        view = np.concatenate([np.full(len(part[0]), part[3]) for part in parts])
+        xyxy = np.clip(xyxy, 0.0, np.tile(frame_px, 2))
+        kept = np.flatnonzero((xyxy[:, 2:] - xyxy[:, :2] > 0.5).all(axis=1))
+        if kept.size and self._decoder.several:
+            # Each view by itself first, so that what is cut off is compared with the best.
+            kept = kept[
+                _suppressed(xyxy[kept], score[kept], label[kept], view[kept], self._options.overlap)
+            ]
+        stays = merge(views, frame_px, xyxy[kept], score[kept], view[kept], label[kept])
+        kept = kept[stays]
+        kept = kept[np.argsort(-score[kept], kind="stable")]
+        return Boxes.of(
+            xyxy[kept],
+            frame=frame.index,
+            time_utc_s=frame.time_utc_s,
+            confidence=score[kept],
+            source=self.name,
+            label=np.array([self._class(i) for i in label[kept]], dtype=np.str_),
+        )
+
+    def _class(self, index: int) -> str:
+        return self.classes[index] if index < len(self.classes) else str(index)
+
+    def _indices(self, names: Sequence[str] | None) -> IntArray | None:
+        if names is None:
+            return None
+        known = [name for name in self.classes if name != "-"]
+        for name in names:
+            if name not in known:
+                raise unknown_name(f"class of {self.name}", name, known)
+        return np.array([self.classes.index(name) for name in dict.fromkeys(names)], dtype=np.int64)
+
+
+def _suppressed(
+    xyxy_px: FloatArray, score: FloatArray, label: IntArray, view: IntArray, overlap: float
+) -> IntArray:
+    """Which boxes are the best of what they are of; each class and each view by itself."""
+    xywh = np.concatenate([xyxy_px[:, :2], xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
+    group = np.unique(np.column_stack([view, label]), axis=0, return_inverse=True)[1].ravel()
+    # It takes arrays, which its annotations do not say.
+    suppress: Any = cv2.dnn.NMSBoxesBatched
+    kept = suppress(xywh, score, group.astype(np.int32), 0.0, overlap)
+    return np.asarray(kept, dtype=np.int64).ravel()
+
+
+class _Network:
+    """A session of ONNX Runtime with one picture for its input."""
+
+    def __init__(self, where: str, options: DetectorOptions) -> None:
+        self._where = where
+        self._session = _session(where, options)
+        self.provider = _provider(where, self._session, options.provider)
+        inputs = self._session.get_inputs()
+        pictures = [one for one in inputs if one.name != _SIZES_INPUT]
+        if len(pictures) != 1 or len(pictures[0].shape) not in (3, 4):
+            given = ", ".join(f"{one.name} {list(one.shape)} {one.type}" for one in inputs)
+            raise InputError(
+                f"{where}: is no detector that takes a picture; its inputs are {given or 'none'}"
+            )
+        self._input = pictures[0]
+        self._sizes = next((one for one in inputs if one.name == _SIZES_INPUT), None)
+        if self._input.type not in _TYPES:
+            raise InputError(
+                f"{where}: takes pictures as {self._input.type}; known are {', '.join(_TYPES)}"
+            )
+        shape = list(self._input.shape)
+        self._has_batch = len(shape) == 4
+        *_, first, second, third = shape
+        self._channels_last = third == 3 and first != 3
+        height, width = (first, second) if self._channels_last else (second, third)
+        channels = third if self._channels_last else first
+        if isinstance(channels, int) and channels != 3:
+            raise InputError(f"{where}: takes pictures of {channels} channels; expected 3")
+        self._fixed_px: tuple[int, int] | None = (
+            (width, height) if _whole(width) and _whole(height) else None
+        )
+        batch = shape[0] if self._has_batch else 1
+        self.batch: int | None = batch if _whole(batch) else None
+        self.output_names = tuple(one.name for one in self._session.get_outputs())
+        self.properties: dict[str, str] = dict(
+            self._session.get_modelmeta().custom_metadata_map or {}
+        )
+        self.form = InputFormat()
+
+    def prepare(self, form: InputFormat) -> None:
+        """Take the form of pictures that the network wants."""
+        if form.size and self._fixed_px and form.size != self._fixed_px:
+            raise InputError(
+                f"{self._where}: says that it takes {form.size[0]} x {form.size[1]} px, and takes "
+                f"{self._fixed_px[0]} x {self._fixed_px[1]} px; export it again"
+            )
+        self.form = form
+        self.input_px: tuple[int, int] | None = form.size or self._fixed_px
+        side = -(-_DUMMY_PX // form.stride) * form.stride
+        self.dummy_px: tuple[int, int] = self.input_px or (side, side)
+        self._blob = cv2.dnn.Image2BlobParams()
+        # OpenCV takes the mean first: (x - mean / scale) * (scale / std).
+        self._blob.scalefactor = (*(form.scale / s for s in form.std), 0.0)
+        self._blob.mean = (*(m / form.scale for m in form.mean), 0.0)
+        self._blob.swapRB = form.color == "rgb"
+
+    def try_out(self) -> list[NDArray[Any]]:
+        """The outputs for an empty picture."""
+        width, height = self.dummy_px
+        return self.run([np.zeros((height, width, 3), dtype=np.uint8)])
+
+    def run(self, canvases: Sequence[NDArray[np.uint8]]) -> list[NDArray[Any]]:
+        """The outputs for pictures of one size, (H, W, 3) BGR."""
+        blob = self._prepared(canvases)
+        feed: dict[str, NDArray[Any]] = {self._input.name: blob}
+        if self._sizes is not None:
+            height, width = canvases[0].shape[:2]
+            feed[_SIZES_INPUT] = np.tile(
+                np.array([[width, height]], dtype=np.int64), (len(blob), 1)
+            )
+        try:
+            return [np.asarray(array) for array in self._session.run(None, feed)]
+        except Exception as error:
+            raise InputError(
+                f"{self._where}: cannot be run on a picture of {canvases[0].shape[1]} x "
+                f"{canvases[0].shape[0]} px ({_line(error)}); is it a detector?"
+            ) from error
+
+    def _prepared(self, canvases: Sequence[NDArray[np.uint8]]) -> NDArray[Any]:
+        dtype = _TYPES[self._input.type]
+        if dtype is np.uint8:
+            flip = slice(None, None, -1) if self.form.color == "rgb" else slice(None)
+            blob: NDArray[Any] = np.stack([c[..., flip] for c in canvases]).transpose(0, 3, 1, 2)
+        else:
+            blob = np.asarray(cv2.dnn.blobFromImagesWithParams(list(canvases), self._blob))
+        if self.batch is not None and len(blob) < self.batch:
+            # A file made for batches of one size is given one, filled up.
+            missing = np.zeros((self.batch - len(blob), *blob.shape[1:]), dtype=blob.dtype)
+            blob = np.concatenate([blob, missing])
+        if self._channels_last:
+            blob = blob.transpose(0, 2, 3, 1)
+        if not self._has_batch:
+            blob = blob[0]
+        return np.ascontiguousarray(blob, dtype=dtype)
+
+
+def _whole(length: Any) -> bool:
+    return isinstance(length, int) and length > 0
+
+
+def _line(error: Exception) -> str:
+    """The first line of what ONNX Runtime says."""
+    text = " ".join(str(error).split("\n")[0].split())
+    return text if len(text) <= 200 else text[:200] + "..."
+
+
+def available_providers() -> tuple[str, ...]:
+    """Those of `PROVIDERS` that the installed ONNX Runtime has."""
+    import onnxruntime
+
+    there = onnxruntime.get_available_providers()
+    return tuple(name for name, full in PROVIDERS.items() if full in there)
+
+
+def _session(where: str, options: DetectorOptions) -> Any:
+    import onnxruntime
+
+    path = Path(where)
+    if not path.is_file():
+        raise InputError(f"{where}: there is no such ONNX file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{where}: is empty")
+    available = available_providers()
+    wanted = options.provider
+    if wanted is not None and wanted not in available:
+        raise _no_provider(where, wanted, available)
+    if wanted is None:
+        chosen = ["cuda", "cpu"] if "cuda" in available else ["cpu"]
+    else:
+        # What TensorRT cannot do is done by CUDA, and what that cannot by the CPU.
+        order = ("tensorrt", "cuda", "cpu")
+        chosen = [name for name in order[order.index(wanted) :] if name in available]
+    settings = onnxruntime.SessionOptions()
+    settings.log_severity_level = 4
+    if options.threads is not None:
+        settings.intra_op_num_threads = options.threads
+    # Threads that wait in a loop keep the decoding of the next frame from the core.
+    settings.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(
+            where, sess_options=settings, providers=[PROVIDERS[name] for name in chosen]
+        )
+    except Exception as error:
+        raise InputError(
+            f"{where}: is no ONNX file that can be run, or is damaged ({_line(error)})"
+        ) from error
+
+
+def _provider(where: str, session: Any, wanted: str | None) -> str:
+    """What a session runs on; ONNX Runtime falls back without an error."""
+    used = session.get_providers()[0]
+    name = next((name for name, full in PROVIDERS.items() if full == used), used)
+    if wanted is not None and name != wanted:
+        raise _no_provider(
+            where,
+            wanted,
+            tuple(n for n, full in PROVIDERS.items() if full in session.get_providers()),
+        )
+    return name
+
+
+def _no_provider(where: str, wanted: str, available: Sequence[str]) -> InputError:
+    return InputError(
+        f"{where}: cannot be run with {wanted}, which this ONNX Runtime or this machine does not "
+        f"have; available are {', '.join(available)} (for a GPU install onnxruntime-gpu)"
+    )

@@ -1,0 +1,254 @@
+"""Which parts of a frame are looked at, and how closely.
+
+A boat at a kilometre is a few pixels large: a frame scaled to the size of a network loses it. So
+the strip around the horizon, where things are far and small, is looked at as it is; what is near
+is large, and may be scaled down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sightline.detection.letterbox import Letterbox
+from sightline.errors import InputError, unknown_name
+from sightline.types import BoolArray, FloatArray, IntArray
+
+Horizon = tuple[float, float]
+"""Rows of the horizon at the left and the right edge of the image, px."""
+
+VIEWS = ("strip", "tiles", "whole")
+
+_TOUCHES_PX = 2.0
+_SAME = 0.5
+"""Share of a cut box inside a whole one from which both are of the same thing."""
+_OVERLAP = 0.3
+"""Intersection over union of boxes of two views from which they are of the same thing."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A part of a frame, and the scale at which it is looked at.
+
+    Attributes:
+        x: Left edge, px of the frame.
+        y: Upper edge.
+        width: Pixels of the frame.
+        height: Pixels of the frame.
+        scale: Pixels of the network's input for a pixel of the frame.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+    scale: float
+
+    @property
+    def searched_px(self) -> float:
+        """How many pixels a network looks at, without padding."""
+        return self.width * self.height * self.scale**2
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """How the views of a frame are chosen.
+
+    Lengths are pixels of a frame of ``frame_width_px``; larger frames are looked at as if they
+    had been scaled to it, since what they show is larger.
+
+    Attributes:
+        kind: ``"strip"``: around and below the horizon as it is, and all below the horizon scaled
+            down; ``"tiles"``: all of the frame as it is; ``"whole"``: the frame scaled down.
+        frame_width_px: See above.
+        above_px: How far above the horizon the strip begins; masts and cabins stand there.
+        below_px: How far below the horizon it ends.
+        near_scale: Scale of all that lies below the horizon, in the strip's. 0: not looked at.
+        overlap: Of neighbouring tiles, as a share of their side. What is larger than it may lie
+            whole in neither; the scaled view is for that.
+        whole_px: Longest side of a frame scaled for a network that takes any size.
+    """
+
+    kind: Literal["strip", "tiles", "whole"] = "strip"
+    frame_width_px: int = 1280
+    above_px: float = 40.0
+    below_px: float = 180.0
+    near_scale: float = 0.25
+    overlap: float = 0.1
+    whole_px: int = 640
+
+    def __post_init__(self) -> None:
+        if self.kind not in VIEWS:
+            raise unknown_name("kind of views", self.kind, VIEWS)
+        positive = min(self.frame_width_px, self.whole_px, self.above_px + self.below_px)
+        if not (positive > 0 and 0.0 <= self.near_scale <= 1.0 and 0.0 <= self.overlap < 0.9):
+            raise InputError(
+                "views: sizes must be positive, near_scale between 0 and 1, and overlap between 0 "
+                f"and 0.9; got {self}"
+            )
+
+
+def plan_views(
+    frame_px: tuple[int, int],
+    settings: ViewSettings,
+    *,
+    horizon_px: Horizon | None = None,
+    input_px: tuple[int, int] | None = None,
+    stride_px: int = 32,
+) -> tuple[View, ...]:
+    """The views of a frame.
+
+    Args:
+        frame_px: Width and height.
+        settings: How they are chosen.
+        horizon_px: Where the horizon lies; without it a strip is all of the frame.
+        input_px: Width and height that the network takes; None: any.
+        stride_px: Of which a network that takes any size takes multiples.
+    """
+    width, height = frame_px
+    if settings.kind == "whole":
+        return (_whole(frame_px, settings, input_px),)
+    scale = min(1.0, settings.frame_width_px / width)
+    top, bottom = 0, height
+    if settings.kind == "strip" and horizon_px is not None:
+        top, bottom = _strip(height, settings, horizon_px, scale, stride_px)
+    if input_px is not None:
+        tiles = tuple(_tiles((0, top, width, bottom), frame_px, input_px, scale, settings.overlap))
+        whole = _whole(frame_px, settings, input_px)
+        return tiles if whole in tiles else (*tiles, whole)
+    strip = View(0, top, width, bottom - top, scale)
+    if bottom == height or settings.near_scale == 0.0:
+        return (strip,)
+    return strip, View(0, top, width, height - top, scale * settings.near_scale)
+
+
+def _whole(
+    frame_px: tuple[int, int], settings: ViewSettings, input_px: tuple[int, int] | None
+) -> View:
+    if input_px is not None:
+        scale = min(input_px[0] / frame_px[0], input_px[1] / frame_px[1])
+    else:
+        scale = min(1.0, settings.whole_px / max(frame_px))
+    return View(0, 0, *frame_px, scale)
+
+
+def _strip(
+    height: int, settings: ViewSettings, horizon_px: Horizon, scale: float, stride_px: int
+) -> tuple[int, int]:
+    """First and last row of the strip, so that a network's stride wastes no row."""
+    top = math.floor(min(horizon_px) - settings.above_px / scale)
+    # A horizon outside the frame leaves the row next to it.
+    top = min(max(top, 0), height - 1)
+    bottom = max(horizon_px) + settings.below_px / scale
+    rows = math.ceil(max(bottom - top, 1.0) * scale / stride_px) * stride_px
+    return top, min(top + math.ceil(rows / scale), height)
+
+
+def _tiles(
+    area: tuple[int, int, int, int],
+    frame_px: tuple[int, int],
+    input_px: tuple[int, int],
+    scale: float,
+    overlap: float,
+) -> Iterator[View]:
+    """Tiles of the network's size that cover an area, x1, y1, x2, y2, and may reach beyond it."""
+    columns = _places(area[0], area[2], frame_px[0], input_px[0] / scale, overlap)
+    rows = list(_places(area[1], area[3], frame_px[1], input_px[1] / scale, overlap))
+    for x, width in columns:
+        for y, height in rows:
+            yield View(x, y, width, height, scale)
+
+
+def _places(
+    first: int, last: int, end: int, side: float, overlap: float
+) -> Iterator[tuple[int, int]]:
+    """Where tiles begin, and how long they are, along one axis."""
+    length = min(math.floor(side), end)
+    count = max(math.ceil((last - first - overlap * length) / ((1.0 - overlap) * length)), 1)
+    if count == 1:
+        # In the middle of the area, as far as the frame reaches.
+        middle = 0.5 * (first + last - length)
+        yield min(max(round(middle), 0), end - length), length
+        return
+    for begin in np.linspace(first, last - length, count):
+        yield round(float(begin)), length
+
+
+def place(view: View, input_px: tuple[int, int] | None, stride_px: int, centred: bool) -> Letterbox:
+    """How a view lies on the canvas of a network."""
+    return Letterbox.fit(
+        (view.width, view.height),
+        scale=view.scale,
+        canvas_px=input_px,
+        stride_px=stride_px,
+        centred=centred,
+    )
+
+
+def merge(
+    views: Sequence[View],
+    frame_px: tuple[int, int],
+    xyxy_px: FloatArray,
+    score: FloatArray,
+    view: IntArray,
+    label: IntArray,
+) -> BoolArray:
+    """Which boxes stay, when several views show the same thing.
+
+    A box that ends at an edge of its view inside the frame is cut off there; it goes where another
+    view has the whole of it. Of the others that overlap and are of two views, the best stays
+    (non-maximum suppression between views; boxes of one view have been through their own).
+
+    Args:
+        views: All views.
+        frame_px: Width and height.
+        xyxy_px: (N, 4) boxes in the frame.
+        score: (N,) its confidence.
+        view: (N,) index of the view of each.
+        label: (N,) its class; only boxes of the same class are of the same thing.
+
+    Returns:
+        (N,) bool, what stays.
+    """
+    stays: BoolArray = np.ones(len(xyxy_px), dtype=bool)
+    if len(views) < 2 or not len(xyxy_px):
+        return stays
+    cut = _cut(views, frame_px, xyxy_px, view)
+    area = (xyxy_px[:, 2:] - xyxy_px[:, :2]).prod(axis=1)
+    whole = np.flatnonzero(~cut)
+    for i in np.flatnonzero(cut):
+        others = whole[(view[whole] != view[i]) & (label[whole] == label[i])]
+        stays[i] = not (_shared(xyxy_px[i], xyxy_px[others]) >= _SAME * area[i]).any()
+    order = np.argsort(-score, kind="stable")
+    for rank, i in enumerate(order):
+        if stays[i]:
+            later = order[rank + 1 :]
+            later = later[(view[later] != view[i]) & (label[later] == label[i])]
+            shared = _shared(xyxy_px[i], xyxy_px[later])
+            stays[later[shared >= _OVERLAP * (area[i] + area[later] - shared)]] = False
+    return stays
+
+
+def _shared(box: FloatArray, others: FloatArray) -> FloatArray:
+    """(N,) areas that boxes share with one, square pixels."""
+    low = np.maximum(others[:, :2], box[:2])
+    high = np.minimum(others[:, 2:], box[2:])
+    return np.asarray(np.clip(high - low, 0.0, None).prod(axis=1), dtype=np.float64)
+
+
+def _cut(
+    views: Sequence[View], frame_px: tuple[int, int], xyxy_px: FloatArray, view: IntArray
+) -> BoolArray:
+    """(N,) whether a box ends at an edge of its view that is none of the frame."""
+    edges = np.array([(v.x, v.y, v.x + v.width, v.y + v.height) for v in views], dtype=np.float64)
+    slack = np.array([_TOUCHES_PX / v.scale for v in views])
+    inner = edges != np.array([0, 0, *frame_px])
+    own, near = edges[view], slack[view][:, None]
+    touches = np.empty((len(xyxy_px), 4), dtype=bool)
+    touches[:, :2] = xyxy_px[:, :2] <= own[:, :2] + near
+    touches[:, 2:] = xyxy_px[:, 2:] >= own[:, 2:] - near
+    return np.asarray((touches & inner[view]).any(axis=1), dtype=bool)
