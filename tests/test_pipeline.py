@@ -29,6 +29,11 @@ class FromAbove:
     plane: LocalPlane
     image_size_px: tuple[int, int] = SIZE_PX
     camera: None = None
+    horizon_px: None = None
+    moving: bool = False
+
+    def level(self, boxes: Boxes, _horizons: None) -> Boxes:
+        return boxes
 
     def locate(self, boxes_xyxy_px: ArrayLike, _source: ArrayLike) -> Positions:
         boxes = np.asarray(boxes_xyxy_px, dtype=float)

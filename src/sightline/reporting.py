@@ -210,7 +210,7 @@ def _panels(result: RunResult) -> list[MapPanel]:
         if recording.fixes_path is None:
             continue
         pairs = [
-            pair_track(track, recording.fixes())
+            pair_track(track, recording.fixes(), platform=recording.platform())
             for track in result.tracks.get(recording.name, ())
             if track.track_id == 1 or recording.boxes_path is None
         ]

@@ -22,7 +22,8 @@ from sightline import formats, video
 from sightline.clock import Clock, presentation_clock
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
-from sightline.types import NO_FRAME, Boxes, ControlPoints, Fixes, FloatArray, Frame
+from sightline.platform import Platform
+from sightline.types import NO_FRAME, Boxes, ControlPoints, Fixes, FloatArray, Frame, Horizons
 
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -56,6 +57,8 @@ class _RecordingTable(_Table):
     detections: str | None = None
     fixes: str | None = None
     mmsi: int | None = None
+    platform: str | None = None
+    horizon: str | None = None
 
     @field_validator("start_utc", mode="before")
     @classmethod
@@ -106,6 +109,9 @@ _TABLES: dict[str, type[_Table]] = {
 }
 
 
+_FILES = ("video", "frames", "clock", "boxes", "detections", "fixes", "platform", "horizon")
+
+
 @dataclass(frozen=True)
 class CameraSite:
     """Where the camera stands, as far as it is known, and the size of its picture.
@@ -137,6 +143,8 @@ class Recording:
         detections_path: Boxes of anything, or None.
         fixes_path: The log of the target, or None.
         mmsi: Which vessel of an AIS log, or None.
+        platform_path: The log of what the camera stands on, where that moves, or None.
+        horizon_path: Where the horizon lies in each frame, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
     """
 
@@ -149,6 +157,8 @@ class Recording:
     detections_path: Path | None = None
     fixes_path: Path | None = None
     mmsi: int | None = None
+    platform_path: Path | None = None
+    horizon_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
 
     @property
@@ -210,6 +220,31 @@ class Recording:
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
         return _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+
+    def platform(self) -> Platform | None:
+        """What the camera stands on, where that moves; None where it stands still.
+
+        Raises:
+            InputError: The log cannot be used.
+        """
+        if self.platform_path is None:
+            return None
+        return _platform(self.platform_path, self.platform_path.stat().st_mtime_ns)
+
+    def horizons(self) -> Horizons | None:
+        """Where the horizon lies in the frames, as its table says; None where there is no table.
+
+        Raises:
+            InputError: The table cannot be used, or nothing tells the times of its frames.
+        """
+        if self.horizon_path is None:
+            return None
+        frame, lines = formats.read_horizons_csv(self.horizon_path)
+        try:
+            times = self.clock().time_utc_s(frame)
+        except InputError as error:
+            raise InputError(f"{self.horizon_path}: {error}") from error
+        return Horizons(times, lines[:, 0], lines[:, 1])
 
     def frames(self) -> Iterator[Frame]:
         """The pictures, one at a time, with their times; NaN where nothing tells them.
@@ -290,6 +325,22 @@ class Scene:
         if self.camera.latitude_deg is None or self.camera.longitude_deg is None:
             return None
         return LocalPlane(self.camera.latitude_deg, self.camera.longitude_deg)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the camera stands on a platform that moves.
+
+        Raises:
+            InputError: It does in some recordings and not in others: these are two cameras.
+        """
+        moving = [recording.platform_path is not None for recording in self.recordings]
+        if any(moving) and not all(moving):
+            name = self.recordings[moving.index(False)].name
+            raise InputError(
+                f"{self.path}: recording {name} has no platform, and others have; a camera that "
+                "moves and one that stands still are two scenes"
+            )
+        return any(moving)
 
     @property
     def image_size_px(self) -> tuple[int, int]:
@@ -398,6 +449,11 @@ def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
     return formats.read_fixes(path, mmsi=mmsi)
 
 
+@lru_cache(maxsize=32)
+def _platform(path: Path, _modified_ns: int) -> Platform:
+    return Platform(formats.read_fixes(path), formats.read_headings(path))
+
+
 @lru_cache(maxsize=128)
 def _clock(path: Path, _modified_ns: int) -> Clock:
     return formats.read_clock(path)
@@ -459,7 +515,7 @@ def _recording(
     image_size_px: tuple[int, int] | None,
 ) -> Recording:
     paths: dict[str, Path | None] = {}
-    for key in ("video", "frames", "clock", "boxes", "detections", "fixes"):
+    for key in _FILES:
         written = getattr(table, key)
         paths[f"{key}_path"] = None if written is None else base / written
         if written is not None:

@@ -279,6 +279,68 @@ class Fixes(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
+class Headings(_Columns):
+    """Where the bow of a platform pointed, in the order of time.
+
+    Attributes:
+        time_utc_s: (N,) float64, finite, strictly increasing, at least two.
+        heading_deg: (N,) float64, degrees clockwise from true north.
+
+    Raises:
+        InputError: A column is of another length, times do not increase, or a value is not finite.
+    """
+
+    time_utc_s: FloatArray
+    heading_deg: FloatArray
+
+    _row_fields = ("time_utc_s", "heading_deg")
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_utc_s)
+        for name in self._row_fields:
+            _freeze(self, name, getattr(self, name), np.float64, (n,))
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"headings: a value of {name} is not a number")
+        if n < 2 or (np.diff(self.time_utc_s) <= 0.0).any():
+            raise InputError("headings: at least two are needed, and their times must increase")
+
+    def __len__(self) -> int:
+        return int(self.time_utc_s.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Horizons(_Columns):
+    """The horizon in the frames of a recording, as a line, in the order of time.
+
+    Attributes:
+        time_utc_s: (N,) float64, strictly increasing.
+        left_y_px: (N,) float64, its row at the left edge of the image.
+        right_y_px: (N,) float64, its row at the right edge.
+
+    Raises:
+        InputError: A column is of another length, times do not increase, or a value is not finite.
+    """
+
+    time_utc_s: FloatArray
+    left_y_px: FloatArray
+    right_y_px: FloatArray
+
+    _row_fields = ("time_utc_s", "left_y_px", "right_y_px")
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_utc_s)
+        for name in self._row_fields:
+            _freeze(self, name, getattr(self, name), np.float64, (n,))
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"horizons: a value of {name} is not a number")
+        if (np.diff(self.time_utc_s) <= 0.0).any():
+            raise InputError("horizons: their times must increase")
+
+    def __len__(self) -> int:
+        return int(self.time_utc_s.size)
+
+
+@dataclass(frozen=True, eq=False)
 class ControlPoints(_Columns):
     """Pixels whose place on the earth is known: a buoy, the corner of a pier, a road marking.
 

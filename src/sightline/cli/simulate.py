@@ -30,6 +30,9 @@ def simulate(
         str, typer.Option(help="How the scene tells times: start, exact or stepped.")
     ] = "start",
     video: Annotated[bool, typer.Option(help="Render the videos.")] = True,
+    moving: Annotated[
+        bool, typer.Option("--moving", help="The camera is on a vessel under way in a swell.")
+    ] = False,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -44,6 +47,7 @@ def simulate(
             rate_hz=rate_hz,
             clock=kind,
             video=video,
+            moving=moving,
             progress=lambda share: tell("rendering", share),
         )
     write_result(

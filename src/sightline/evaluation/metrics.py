@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.errors import InputError
+from sightline.geodesy import LocalPlane
+from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S, synchronise
 from sightline.types import BoolArray, Fixes, FloatArray, IntArray, Positions, Track
 
@@ -49,6 +51,7 @@ class Pairs:
             next: a segment is a recording or a track.
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
+        eye_m: (N, 2) float64, east and north of the camera; absent: at the origin.
 
     Raises:
         InputError: A column is of another length, or a position is not finite.
@@ -63,6 +66,7 @@ class Pairs:
     segment: IntArray
     asked: int
     without_position: int = 0
+    eye_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = np.size(self.time_utc_s)
@@ -72,6 +76,8 @@ class Pairs:
                 raise InputError(f"Pairs.{name} has a value that is no number")
         self._freeze("covariance_m2", np.array(self.covariance_m2, dtype=np.float64), (n, 2, 2))
         self._freeze("segment", np.array(self.segment, dtype=np.int64), (n,))
+        eye_m = np.zeros((n, 2)) if self.eye_m is None else self.eye_m
+        self._freeze("eye_m", np.array(eye_m, dtype=np.float64), (n, 2))
         if self.asked < n:
             raise InputError(f"{n} pairs cannot come from {self.asked} times")
 
@@ -102,7 +108,7 @@ class Pairs:
         return cls(
             **{
                 name: np.concatenate([getattr(part, name) for part in parts])
-                for name in (*columns, "true_north_m", "segment")
+                for name in (*columns, "true_north_m", "segment", "eye_m")
             },
             asked=sum(part.asked for part in parts),
             without_position=sum(part.without_position for part in parts),
@@ -114,9 +120,15 @@ class Pairs:
         return np.hypot(self.east_m - self.true_east_m, self.north_m - self.true_north_m)
 
     @property
+    def true_sight_m(self) -> FloatArray:
+        """(N, 2) metres east and north from the camera to the true position."""
+        assert self.eye_m is not None, "filled in where it is absent"
+        return np.stack([self.true_east_m, self.true_north_m], axis=1) - self.eye_m
+
+    @property
     def true_range_m(self) -> FloatArray:
         """(N,) metres from the camera to the true position."""
-        return np.hypot(self.true_east_m, self.true_north_m)
+        return np.asarray(np.hypot(*self.true_sight_m.T))
 
     @property
     def share(self) -> float:
@@ -130,6 +142,7 @@ def pair_positions(
     fixes: Fixes,
     *,
     largest_gap_s: float = LARGEST_GAP_S,
+    platform: Platform | None = None,
 ) -> Pairs:
     """Single positions beside a log, as one segment.
 
@@ -138,6 +151,7 @@ def pair_positions(
         positions: N positions.
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
+        platform: What the camera stood on, where that moved.
 
     Raises:
         InputError: There are more times than positions or the reverse.
@@ -157,16 +171,28 @@ def pair_positions(
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=times.size,
         without_position=int((log.matched & ~positions.known).sum()),
+        eye_m=_eye(platform, times[keep], positions.plane),
     )
 
 
-def pair_track(track: Track, fixes: Fixes, *, largest_gap_s: float = LARGEST_GAP_S) -> Pairs:
+def _eye(platform: Platform | None, times: FloatArray, plane: LocalPlane) -> FloatArray | None:
+    return None if platform is None else platform.pose(times, plane).en_m
+
+
+def pair_track(
+    track: Track,
+    fixes: Fixes,
+    *,
+    largest_gap_s: float = LARGEST_GAP_S,
+    platform: Platform | None = None,
+) -> Pairs:
     """A track beside a log at the track's own times, as one segment.
 
     Args:
         track: The track.
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
+        platform: What the camera stood on, where that moved.
     """
     log = synchronise(fixes, track.time_utc_s, track.plane, largest_gap_s=largest_gap_s)
     keep = log.matched
@@ -179,6 +205,7 @@ def pair_track(track: Track, fixes: Fixes, *, largest_gap_s: float = LARGEST_GAP
         true_north_m=log.north_m[keep],
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=len(track),
+        eye_m=_eye(platform, track.time_utc_s[keep], track.plane),
     )
 
 
@@ -450,7 +477,7 @@ def line_of_sight_errors(pairs: Pairs) -> tuple[FloatArray, FloatArray]:
     distance = pairs.true_range_m
     away = distance > _AT_CAMERA_M
     scale = np.where(away, distance, 1.0)
-    toward_east, toward_north = pairs.true_east_m / scale, pairs.true_north_m / scale
+    toward_east, toward_north = pairs.true_sight_m.T / scale
     along = east * toward_east + north * toward_north
     across = east * toward_north - north * toward_east
     return np.where(away, along, np.nan), np.where(away, across, np.nan)

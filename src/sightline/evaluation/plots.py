@@ -340,7 +340,7 @@ def _draw_over_time(axes: Axes, pairs: Pairs, probability: float) -> None:
 def _stated_half_width_along(pairs: Pairs, probability: float) -> FloatArray:
     """Half the width of the interval along the line of sight that the covariance states."""
     distance = pairs.true_range_m
-    unit = np.column_stack([pairs.true_east_m, pairs.true_north_m])
+    unit = pairs.true_sight_m
     unit = unit / np.where(distance > 0.0, distance, np.nan)[:, None]
     variance = np.einsum("ni,nij,nj->n", unit, pairs.covariance_m2, unit)
     width: FloatArray = NormalDist().inv_cdf(0.5 + probability / 2.0) * np.sqrt(variance)

@@ -30,6 +30,7 @@ from sightline.evaluation.metrics import (
     relative_error,
 )
 from sightline.formats.atomic import atomic_path
+from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.types import Fixes, Positions, Track, to_datetime64
 
@@ -327,6 +328,7 @@ def pair_target(
     wanted: Collection[int] | None = None,
     largest_gap_s: float = LARGEST_GAP_S,
     least_overlap_s: float = LEAST_OVERLAP_S,
+    platform: Platform | None = None,
     where: str = "",
 ) -> tuple[Pairs, TracksUsed]:
     """The pairs of a log and those tracks that are its target; see `evaluate_tracks`.
@@ -337,6 +339,7 @@ def pair_target(
         wanted: The ids of the target's tracks; absent: the nearest track is the target.
         largest_gap_s: Times between fixes that are further apart are not compared.
         least_overlap_s: Seconds.
+        platform: What the camera stood on, where that moved.
         where: Begins the message: the recording.
 
     Returns:
@@ -349,7 +352,9 @@ def pair_target(
     for track in tracks:
         if track.track_id in paired:
             raise InputError(f"{where}two tracks have the same id")
-        paired[track.track_id] = pair_track(track, fixes, largest_gap_s=largest_gap_s)
+        paired[track.track_id] = pair_track(
+            track, fixes, largest_gap_s=largest_gap_s, platform=platform
+        )
     overlapping = {number: pairs for number, pairs in paired.items() if len(pairs)}
     if wanted is not None:
         chosen, by = [number for number in paired if number in wanted], "track_id"

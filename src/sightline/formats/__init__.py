@@ -25,6 +25,8 @@ from sightline.formats.fixes_csv import read_fixes_csv, write_fixes_csv
 from sightline.formats.geojson import geojson_track_writer, read_geojson_table
 from sightline.formats.geopackage import geopackage_track_writer, read_geopackage_table
 from sightline.formats.gpx import gpx_track_writer, read_gpx, read_gpx_table, write_gpx
+from sightline.formats.headings import read_headings
+from sightline.formats.horizons_csv import read_horizons_csv
 from sightline.formats.kml import kml_track_writer
 from sightline.formats.mot import iter_mot, write_mot
 from sightline.formats.nmea import read_nmea
@@ -42,6 +44,8 @@ __all__ = [
     "read_clock",
     "read_control_points",
     "read_fixes",
+    "read_headings",
+    "read_horizons_csv",
     "read_tracks",
     "track_table",
     "track_writer",

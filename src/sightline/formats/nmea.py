@@ -70,7 +70,7 @@ def read_nmea(path: str | os.PathLike[str]) -> Fixes:
                     continue
                 if sentence.timestamp is None or sentence.datestamp is None:
                     continue
-                moment_s = datetime.combine(sentence.datestamp, sentence.timestamp).timestamp()
+                moment_s = dated(sentence)
                 for earlier, waiting in undated:
                     gga.add(earlier, _dated(waiting, moment_s), waiting)
                 undated.clear()
@@ -85,6 +85,15 @@ def read_nmea(path: str | os.PathLike[str]) -> Fixes:
     if not log.lines:
         raise InputError(f"{path}: {_why_none(seen, spoilt, len(undated))}")
     return _files.fixes(path, log.lines, log.time_utc_s, log.latitude_deg, log.longitude_deg)
+
+
+def dated(sentence: pynmea2.TalkerSentence) -> float:
+    """POSIX seconds of a sentence with time and date, RMC or ZDA.
+
+    Raises:
+        TypeError: It has neither.
+    """
+    return datetime.combine(sentence.datestamp, sentence.timestamp).timestamp()
 
 
 def _dated(sentence: pynmea2.TalkerSentence, reference_s: float) -> float:

@@ -177,6 +177,31 @@ class Camera:
         north = reach * (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1])
         return self.east_m + east, self.north_m + north
 
+    def rays(self, pixel_px: ArrayLike) -> FloatArray:
+        """Unit vectors along which pixels look, to the right, down and forward of the camera.
+
+        Args:
+            pixel_px: (N, 2) x and y.
+
+        Returns:
+            (N, 3) float64; NaN where the lens model has folded.
+        """
+        pixel = np.atleast_2d(np.asarray(pixel_px, dtype=float))
+        x, y = self._undistorted(pixel[:, 0], pixel[:, 1])
+        rays = np.stack([x, y, np.ones_like(x)], axis=1)
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+    def pixels(self, rays: ArrayLike) -> FloatArray:
+        """The reverse of `rays`: (N, 2) pixels; NaN behind the camera and beyond the fold."""
+        x, y, z = np.atleast_2d(np.asarray(rays, dtype=float)).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x, y = x / z, y / z
+            square = x * x + y * y
+        seen = (z > _NEAREST) & (square < self.largest_radius**2)
+        stretch = self.focal_px * (1.0 + square * (self.k1 + square * self.k2))
+        middle = 0.5 * np.asarray(self.image_size_px)
+        return np.where(seen[:, None], middle + stretch[:, None] * np.stack([x, y], axis=1), np.nan)
+
     def _undistorted(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Normalised coordinates of pixels without distortion, (N,); NaN beyond the fold."""
         width, height = self.image_size_px

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,12 @@ from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
 from sightline.inference.camera_fit import FIRST_SOURCE, TARGET_PARAMETERS
 from sightline.inference.camera_model import CameraRegressor
+from sightline.inference.levelling import level, nominal_camera, scene_horizons
 from sightline.inference.pairs import Pairs, scene_pairs
 from sightline.inference.paper import PAPER_MODELS, PaperModel, paper_model
 from sightline.inference.support import Support
 from sightline.scene import Scene
-from sightline.types import BoolArray, Boxes, FloatArray, Positions, check_boxes
+from sightline.types import BoolArray, Boxes, FloatArray, Horizons, Positions, check_boxes
 
 MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
 """The names of all models: the paper's five, and ours."""
@@ -178,6 +179,10 @@ class Georeferencer:
         image_size_px: Width and height of the images that it works on.
         support: Where in the image it has learned.
         report: What is to be known about the fit.
+        horizon_px: Rows of the horizon at the left and the right edge of the image when the camera
+            lies as it did for the model, None where it was taken never to roll or pitch.
+        moving: Whether the camera stands on a platform that moves. Then places are to starboard
+            and ahead of that: see `sightline.platform`.
     """
 
     model: str
@@ -186,6 +191,8 @@ class Georeferencer:
     image_size_px: tuple[int, int]
     support: Support
     report: FitReport
+    horizon_px: tuple[float, float] | None = None
+    moving: bool = False
 
     @property
     def camera(self) -> Camera | None:
@@ -228,6 +235,22 @@ class Georeferencer:
             shared_covariance_m2=shared,
         )
 
+    def level(self, boxes: Boxes, horizons: Horizons | None) -> Boxes:
+        """Boxes as if the camera had lain as it did for the model.
+
+        Args:
+            boxes: With their times.
+            horizons: Of the same recording; None: the camera is taken not to have moved.
+
+        Returns:
+            The boxes in whose frames the horizon was seen; all of them, as they are, where the
+            model or the recording knows of none.
+        """
+        if self.horizon_px is None or horizons is None:
+            return boxes
+        camera = self.camera or nominal_camera(self.image_size_px)
+        return level(boxes, horizons, self.horizon_px, camera)[0]
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the model to a file, whole or not at all; see `sightline.load`."""
         from sightline.inference.model_file import save_model
@@ -257,32 +280,57 @@ def fit(
     """
     if model not in MODELS:
         raise unknown_name("model", model, MODELS)
+    moving = scene.moves
     plane = scene.plane
-    known = plane is not None
+    known = plane is not None or moving
     if plane is None:
         plane = _middle(scene)
-    pairs = scene_pairs(scene, plane, extra=extra)
-    if not len(pairs) and not len(scene.control_points):
-        raise FitError(
-            f"{scene.path}: no pairs of a box and a fix, and no control points; give a recording "
-            "boxes and fixes, or [[control_points]]"
+    horizons = {r.name: seen for r in scene.recordings if (seen := scene_horizons(r)) is not None}
+    reference = _typical(list(horizons.values()))
+    lens: Camera | None = None
+
+    def learn(plane: LocalPlane, position_known: bool) -> Georeferencer:
+        def levelled(name: str, boxes: Boxes) -> Boxes:
+            if reference is None or name not in horizons:
+                return boxes
+            camera = lens or nominal_camera(scene.image_size_px)
+            return level(boxes, horizons[name], reference, camera)[0]
+
+        pairs = scene_pairs(scene, plane, extra=extra, levelled=levelled if horizons else None)
+        if not len(pairs) and not len(scene.control_points):
+            raise FitError(
+                f"{scene.path}: no pairs of a box and a fix, and no control points; give a "
+                "recording boxes and fixes, or [[control_points]]"
+            )
+        fitted = fit_pairs(
+            pairs,
+            scene,
+            model,
+            position_known=position_known,
+            image_size_px=scene.image_size_px,
+            seed=seed,
         )
-    fitted = fit_pairs(
-        pairs, scene, model, position_known=known, image_size_px=scene.image_size_px, seed=seed
-    )
+        return replace(fitted, horizon_px=reference, moving=moving)
+
+    fitted = learn(plane, known)
+    if reference is not None and fitted.camera is not None:
+        # How far a pixel turns the camera is the lens's to say, and now it is known.
+        lens = fitted.camera
+        fitted = learn(plane, known)
     if known or fitted.camera is None:
         return fitted
     # The origin of the plane is where the camera stands; now it is known where that is.
     latitude, longitude = plane.to_geographic([fitted.camera.east_m], [fitted.camera.north_m])
-    plane = LocalPlane(float(latitude[0]), float(longitude[0]))
-    return fit_pairs(
-        scene_pairs(scene, plane, extra=extra),
-        scene,
-        model,
-        position_known=False,
-        image_size_px=scene.image_size_px,
-        seed=seed,
-    )
+    return learn(LocalPlane(float(latitude[0]), float(longitude[0])), False)
+
+
+def _typical(horizons: list[Horizons]) -> tuple[float, float] | None:
+    """Where the horizon lies in the middle of all that the camera did."""
+    if not sum(map(len, horizons)):
+        return None
+    left = np.concatenate([one.left_y_px for one in horizons])
+    right = np.concatenate([one.right_y_px for one in horizons])
+    return float(np.median(left)), float(np.median(right))
 
 
 def _middle(scene: Scene) -> LocalPlane:

@@ -39,13 +39,18 @@ def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Pa
         InputError: The file cannot be written.
     """
     arrays, settings = georeferencer.regressor.state()
-    content = {
+    content: dict[str, Any] = {
         "model": georeferencer.model,
         "plane": [georeferencer.plane.latitude_deg, georeferencer.plane.longitude_deg],
         "image_size_px": list(georeferencer.image_size_px),
         "settings": settings,
         "report": georeferencer.report.to_dict(),
     }
+    # Only where there is something to say: other models stay readable by older releases.
+    if georeferencer.horizon_px is not None:
+        content["horizon_px"] = list(georeferencer.horizon_px)
+    if georeferencer.moving:
+        content["moving"] = True
     tensors = {f"regressor.{name}": np.ascontiguousarray(a) for name, a in arrays.items()}
     tensors["support"] = np.ascontiguousarray(georeferencer.support.planes)
     with atomic_path(path) as temporary:
@@ -118,4 +123,13 @@ def _build(content: dict[str, Any], tensors: dict[str, Any]) -> Georeferencer:
         image_size_px=(width, height),
         support=Support(np.asarray(tensors["support"], dtype=np.float64).reshape(-1, 3)),
         report=FitReport.from_dict(content["report"]),
+        horizon_px=_horizon(content.get("horizon_px")),
+        moving=bool(content.get("moving", False)),
     )
+
+
+def _horizon(rows: Any) -> tuple[float, float] | None:
+    if rows is None:
+        return None
+    left, right = (float(row) for row in rows)
+    return left, right

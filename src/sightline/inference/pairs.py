@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
+from sightline.platform import to_bow, turned
 from sightline.scene import Recording, Scene, check_overlap
 from sightline.synchronisation import LARGEST_GAP_S, synchronise
 from sightline.types import Boxes, FloatArray, StrArray
@@ -54,14 +55,19 @@ def scene_pairs(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     extra: Mapping[str, Boxes] | None = None,
+    levelled: Callable[[str, Boxes], Boxes] | None = None,
 ) -> Pairs:
     """The pairs of all recordings that have boxes and a log.
+
+    Where the camera stands on a platform that moves, places are those that the platform saw: to
+    starboard and ahead of it.
 
     Args:
         scene: The scene.
         plane: The plane of the places.
         largest_gap_s: A box counts where the fixes on either side are at most this far apart.
         extra: Further boxes of the logged target, from another source, by recording.
+        levelled: From a recording's name and boxes to the boxes of a camera that did not roll.
 
     Raises:
         FitError: A recording has boxes but no recording has a log.
@@ -75,19 +81,26 @@ def scene_pairs(
         boxes = recording.boxes()
         if extra and recording.name in extra:
             boxes = Boxes.concatenate([boxes, extra[recording.name]])
+        asked = len(boxes)
+        if levelled is not None:
+            boxes = levelled(recording.name, boxes)
         place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
-        rows = place.matched
-        if len(boxes) and not rows.any():
+        if len(boxes) and not place.matched.any():
             silent.append(recording)
+        en_m = np.stack([place.east_m, place.north_m], axis=1)
+        velocity_mps = np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)
+        platform = recording.platform()
+        if platform is not None:
+            pose = platform.pose(boxes.time_utc_s, plane)
+            en_m, velocity_mps = to_bow(en_m, pose), turned(velocity_mps, pose.heading_rad)
+        rows = np.isfinite(en_m).all(axis=1)
         parts.append(
             Pairs(
                 boxes=boxes[rows],
                 recording=np.full(int(rows.sum()), recording.name),
-                east_north_m=np.stack([place.east_m, place.north_m], axis=1)[rows],
-                velocity_mps=np.nan_to_num(
-                    np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)[rows]
-                ),
-                asked=len(boxes),
+                east_north_m=en_m[rows],
+                velocity_mps=np.nan_to_num(velocity_mps[rows]),
+                asked=asked,
                 plane=plane,
             )
         )

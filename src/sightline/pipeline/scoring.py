@@ -14,10 +14,17 @@ from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.metrics import pair_positions, pair_track
 from sightline.evaluation.report import Report, evaluate_tracks, summarise
 from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer, fit
+from sightline.inference.levelling import scene_horizons
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
 from sightline.pipeline.boxes import Progress
-from sightline.pipeline.tracking import DEFAULT_TRAJECTORY, TrackSettings, smooth_boxes
+from sightline.pipeline.tracking import (
+    DEFAULT_TRAJECTORY,
+    TrackSettings,
+    check_platform,
+    smooth_boxes,
+)
+from sightline.platform import Platform, moved_positions, north_up
 from sightline.scene import Scene
 from sightline.tracks import Tracks
 from sightline.trajectory import method
@@ -73,22 +80,34 @@ class Placed:
         boxes: With their times.
         model: That placed them.
         fixes: The log.
+        platform: What the camera stands on, where that moves.
     """
 
     recording: str
     boxes: Boxes
     model: Georeferencer
     fixes: Fixes
+    platform: Platform | None = None
 
     def single(self) -> ScoredPairs:
         """Each box by itself beside the log."""
         positions = self.model.locate(self.boxes.xyxy_px, self.boxes.source)
-        return pair_positions(self.boxes.time_utc_s, positions, self.fixes)
+        if self.platform is not None:
+            pose = self.platform.pose(self.boxes.time_utc_s, self.model.plane)
+            positions = moved_positions(north_up(positions, pose), pose)
+        return pair_positions(self.boxes.time_utc_s, positions, self.fixes, platform=self.platform)
 
     def track(self, trajectory: str) -> Track | None:
         """The trajectory of the boxes, at their times."""
         settings = TrackSettings(trajectory=trajectory)
-        return smooth_boxes(self.boxes, self.model, method(trajectory), settings, track_id=1)
+        return smooth_boxes(
+            self.boxes,
+            self.model,
+            method(trajectory),
+            settings,
+            track_id=1,
+            platform=self.platform,
+        )
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
@@ -101,11 +120,14 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
     Raises:
         InputError: No recording has both.
     """
-    placed = [
-        Placed(recording.name, recording.boxes(), model_for(recording.name), recording.fixes())
-        for recording in scene.recordings
-        if recording.boxes_path is not None and recording.fixes_path is not None
-    ]
+    placed = []
+    for recording in scene.recordings:
+        if recording.boxes_path is None or recording.fixes_path is None:
+            continue
+        model, platform = model_for(recording.name), recording.platform()
+        check_platform(model, platform, f"recording {recording.name}: ")
+        boxes = model.level(recording.boxes(), scene_horizons(recording))
+        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform))
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"
@@ -131,7 +153,7 @@ def score(
             made = one.track(trajectory)
             if made is None:
                 continue
-            pairs = pair_track(made, one.fixes)
+            pairs = pair_track(made, one.fixes, platform=one.platform)
         if len(pairs):
             parts[one.recording] = pairs
     if not parts:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline import video
+from sightline import formats, video
 from sightline.clock import Clock
 from sightline.detection import Detector
 from sightline.errors import InputError
@@ -27,10 +27,11 @@ from sightline.pipeline.boxes import (
     refuse_seldom,
     timed,
 )
+from sightline.platform import Platform, moved_track, north_up
 from sightline.tracking import ImageTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
-from sightline.types import NO_TRACK, Boxes, FloatArray, Track
+from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
 
 DEFAULT_TRAJECTORY = "rts"
 
@@ -78,6 +79,8 @@ def track(
     detector: Detector | str | None = None,
     clock: Clock | None = None,
     start_utc_s: float | None = None,
+    platform: Platform | str | os.PathLike[str] | None = None,
+    horizons: Horizons | None = None,
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
 ) -> Tracks:
@@ -89,11 +92,14 @@ def track(
         detector: Finds boxes in frames; a name, or one's own. Absent: ``"motion"``.
         clock: Tells the times of frames; absent: the video or the table does.
         start_utc_s: POSIX seconds of a video's first frame.
+        platform: What the camera stands on, or its log, where that moves.
+        horizons: Where the horizon lies, for boxes in a table; in frames it is looked for.
         settings: How boxes become tracks.
         progress: Told how far it is.
 
     Raises:
-        InputError: The source cannot be read, or nothing tells its times.
+        InputError: The source cannot be read, nothing tells its times, or the model is of a camera
+            that moves and the source of one that does not, or the reverse.
     """
     found = iter_tracks(
         source,
@@ -101,6 +107,8 @@ def track(
         detector=detector,
         clock=clock,
         start_utc_s=start_utc_s,
+        platform=platform,
+        horizons=horizons,
         settings=settings,
         progress=progress,
     )
@@ -114,12 +122,17 @@ def iter_tracks(
     detector: Detector | str | None = None,
     clock: Clock | None = None,
     start_utc_s: float | None = None,
+    platform: Platform | str | os.PathLike[str] | None = None,
+    horizons: Horizons | None = None,
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
 ) -> Iterator[Track]:
     """As `track`, one track at a time, each as soon as its target has gone; memory stays flat."""
     settings = settings or TrackSettings()
     smoother = method(settings.trajectory)
+    if platform is not None and not isinstance(platform, Platform):
+        platform = Platform(formats.read_fixes(platform), formats.read_headings(platform))
+    check_platform(model, platform)
     table = isinstance(source, Boxes) or is_table(source)
     if table and start_utc_s is not None:
         raise InputError(
@@ -137,7 +150,8 @@ def iter_tracks(
         clock, highest_id = None, NO_TRACK
     where = "" if isinstance(source, Boxes) else f"{source}: "
     with_times = (timed(boxes, clock, model, where) for boxes in batches)
-    yield from follow(with_times, model, smoother, settings, highest_id)
+    level = (model.level(boxes, horizons) for boxes in with_times)
+    yield from follow(level, model, smoother, settings, highest_id, platform)
 
 
 def follow(
@@ -146,6 +160,7 @@ def follow(
     smoother: TrajectoryMethod,
     settings: TrackSettings,
     highest_id: int = NO_TRACK,
+    platform: Platform | None = None,
 ) -> Iterator[Track]:
     """The tracks of boxes, each as soon as its target has gone.
 
@@ -156,6 +171,7 @@ def follow(
         settings: How boxes become tracks.
         highest_id: Of the boxes' track ids; those without one are of no target. `NO_TRACK`: none
             has one, and a tracker gives them.
+        platform: What the camera stands on, where that moves.
 
     Raises:
         SeldomError: No target could be followed, since the boxes come too seldom.
@@ -167,7 +183,13 @@ def follow(
     count = 0
     for number, boxes in book.ended(batches):
         made = smooth_boxes(
-            boxes, model, smoother, settings, track_id=number, shortest_s=settings.shortest_s
+            boxes,
+            model,
+            smoother,
+            settings,
+            track_id=number,
+            shortest_s=settings.shortest_s,
+            platform=platform,
         )
         if made is not None:
             count += 1
@@ -256,6 +278,29 @@ class _OpenTracks:
         return key
 
 
+def check_platform(model: Georeferencer, platform: Platform | None, where: str = "") -> None:
+    """Refuse a model of a camera that moves for one that does not, and the reverse.
+
+    Args:
+        model: The model.
+        platform: What the camera stands on, where that moves.
+        where: Begins the message.
+
+    Raises:
+        InputError: They do not fit.
+    """
+    if model.moving and platform is None:
+        raise InputError(
+            f"{where}the model is of a camera on a platform that moves; give the platform's own "
+            "log (--platform FILE, or platform in the scene)"
+        )
+    if platform is not None and not model.moving:
+        raise InputError(
+            f"{where}the model is of a camera that stands still, and a platform is given; fit a "
+            "model to recordings with platform logs"
+        )
+
+
 def smooth_boxes(
     boxes: Boxes,
     model: Georeferencer,
@@ -264,16 +309,22 @@ def smooth_boxes(
     *,
     track_id: int,
     shortest_s: float = 0.0,
+    platform: Platform | None = None,
 ) -> Track | None:
-    """The smooth track of one target's boxes; None where they have positions for too short."""
+    """The smooth track of one target's boxes; None where they have positions for too short.
+
+    Before a moving camera the path relative to it is smoothed, and then put where the camera was.
+    """
     positions = model.locate(boxes.xyxy_px, boxes.source)
+    if platform is not None:
+        positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
     times = boxes.time_utc_s[positions.known]
     if not times.size or np.ptp(times) < shortest_s:
         return None
     at = None
     if settings.interval_s is not None:
         at = np.arange(times.min(), times.max() + 1e-9, settings.interval_s)
-    return smoother.apply(
+    made = smoother.apply(
         boxes.time_utc_s,
         positions,
         confidence=boxes.confidence,
@@ -281,3 +332,7 @@ def smooth_boxes(
         track_id=track_id,
         label=str(boxes.label[0]),
     )
+    if platform is None:
+        return made
+    moved = moved_track(made, platform.pose(made.time_utc_s, model.plane))
+    return moved if len(moved) else None

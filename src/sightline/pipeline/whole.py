@@ -11,6 +11,7 @@ from sightline.errors import FitError
 from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
 from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer, fit
+from sightline.inference.levelling import scene_horizons
 from sightline.pipeline.boxes import (
     Progress,
     SeldomError,
@@ -194,7 +195,14 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
 
 def _target(recording: Recording, model: Georeferencer, settings: TrackSettings) -> Track | None:
     """The one track of the boxes of the target that was logged."""
-    return smooth_boxes(recording.boxes(), model, method(settings.trajectory), settings, track_id=1)
+    return smooth_boxes(
+        model.level(recording.boxes(), scene_horizons(recording)),
+        model,
+        method(settings.trajectory),
+        settings,
+        track_id=1,
+        platform=recording.platform(),
+    )
 
 
 def _others(
@@ -219,7 +227,9 @@ def _others(
             _renamed(tell, f"detecting in {recording.name}"),
         )
     with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    yield from follow(with_times, model, smoother, settings, highest_id)
+    horizons = scene_horizons(recording)
+    level = (model.level(boxes, horizons) for boxes in with_times)
+    yield from follow(level, model, smoother, settings, highest_id, recording.platform())
 
 
 def _against_log(
@@ -227,5 +237,5 @@ def _against_log(
 ) -> tuple[ScoredPairs, TracksUsed] | None:
     if recording.fixes_path is None:
         return None
-    pairs, used = pair_target(tracks, recording.fixes())
+    pairs, used = pair_target(tracks, recording.fixes(), platform=recording.platform())
     return (pairs, used) if len(pairs) else None

@@ -115,16 +115,19 @@ class SimulatedCamera:
             return float("inf")
         return radius * (1.0 + self.k1 * radius**2 + self.k2 * radius**4)
 
-    def project(self, points_enu_m: ArrayLike) -> FloatArray:
+    def project(self, points_enu_m: ArrayLike, turn: FloatArray | None = None) -> FloatArray:
         """Pixels of points in the world.
 
         Args:
             points_enu_m: (..., 3) metres east, north and above the water.
+            turn: (N, 3, 3), of the hull that the camera stands on, for points (N, ..., 3).
 
         Returns:
             (..., 2) float64 px; NaN behind the camera and beyond the fold of the lens.
         """
         points = np.asarray(points_enu_m, dtype=float) - [0.0, 0.0, self.height_m]
+        if turn is not None:
+            points = np.einsum("nij,n...j->n...i", turn, points)
         seen_from_lens = points @ self.rotation.T
         ahead = seen_from_lens[..., 2]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -180,20 +183,19 @@ class SimulatedCamera:
             distance = np.where(rays[..., 2] < 0.0, -self.height_m / rays[..., 2], np.nan)
             return np.asarray(rays[..., :2] * distance[..., None])
 
-    def horizon_px(self, x_px: ArrayLike) -> FloatArray:
+    def horizon_px(self, x_px: ArrayLike, turn: FloatArray | None = None) -> FloatArray:
         """The row of the horizon at columns of the image.
 
         Args:
             x_px: (N,) columns.
+            turn: (3, 3), of the hull that the camera stands on.
 
         Returns:
             (N,) float64 px, which may lie outside the image; NaN where the horizon is not seen.
         """
         heading = np.radians(self.heading_deg + np.linspace(-85.0, 85.0, 1701))
-        far = (
-            np.stack([np.sin(heading), np.cos(heading), np.zeros_like(heading)], axis=-1)
-            @ self.rotation.T
-        )
+        far = np.stack([np.sin(heading), np.cos(heading), np.zeros_like(heading)], axis=-1)
+        far = (far if turn is None else far @ turn.T) @ self.rotation.T
         x_u, y_u = far[:, 0] / far[:, 2], far[:, 1] / far[:, 2]
         r2 = x_u**2 + y_u**2
         seen = (far[:, 2] > 1e-6) & (np.sqrt(r2) < self._fold_radius)

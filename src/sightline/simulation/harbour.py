@@ -25,10 +25,12 @@ from numpy.typing import ArrayLike
 
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
+from sightline.platform import Platform
 from sightline.simulation.boats import Boat, Shape, dinghy, ferry, motorboat, sailboat
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.paths import Path, rest, steer
-from sightline.types import BoolArray, Boxes, Fixes, FloatArray, IntArray, StrArray
+from sightline.simulation.platform import SimulatedPlatform
+from sightline.types import BoolArray, Boxes, Fixes, FloatArray, Headings, IntArray, StrArray
 
 START_UTC_S = 1_717_236_000.0
 """2024-06-01T10:00:00Z, when a harbour starts unless it is told otherwise."""
@@ -205,6 +207,8 @@ class Harbour:
         start_utc_s: When it begins, POSIX seconds.
         duration_s: How long the boats have paths.
         seed: What it was drawn from; noise is drawn from it too.
+        platform: What the camera stands on, where that moves: then the camera is as it lies while
+            the hull is level and its bow at ``platform.heading_deg``.
     """
 
     camera: SimulatedCamera
@@ -215,6 +219,7 @@ class Harbour:
     start_utc_s: float = START_UTC_S
     duration_s: float = 240.0
     seed: int = 0
+    platform: SimulatedPlatform | None = None
 
     @classmethod
     def random(
@@ -232,6 +237,7 @@ class Harbour:
         anchored: int = 2,
         gulls: int = 6,
         piles: bool = True,
+        moving: bool = False,
     ) -> Harbour:
         """A harbour from a seed.
 
@@ -248,6 +254,7 @@ class Harbour:
             anchored: How many boats lie at anchor.
             gulls: How many birds.
             piles: Whether a bollard and a mooring post stand before the camera.
+            moving: Whether the camera is on a vessel under way in a swell; then without piles.
 
         Raises:
             InputError: The duration is not positive.
@@ -271,11 +278,14 @@ class Harbour:
             camera=camera,
             plane=plane,
             boats=tuple(builder.boats),
-            piles=builder.piles() if piles else (),
+            piles=builder.piles() if piles and not moving else (),
             gulls=tuple(builder.gull(i % 2 == 0) for i in range(gulls)),
             start_utc_s=start_utc_s,
             duration_s=duration_s,
             seed=seed,
+            platform=SimulatedPlatform.random(np.random.default_rng([seed, 8]), camera, duration_s)
+            if moving
+            else None,
         )
 
     @property
@@ -330,7 +340,11 @@ class Harbour:
             (N, 4) float64, x1, y1, x2, y2 px; NaN where a corner cannot be projected.
         """
         times = np.atleast_1d(np.asarray(time_utc_s, dtype=float)) - self.start_utc_s
-        pixels = self.camera.project(boat.points_enu_m(times))
+        if self.platform is None:
+            pixels = self.camera.project(boat.points_enu_m(times))
+        else:
+            seen = self.platform.seen(boat)
+            pixels = self.camera.project(seen.points_enu_m(times), self.platform.turn(times))
         return np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=-1)
 
     def boxes(
@@ -398,8 +412,10 @@ class Harbour:
         limits = np.array([0.0, 0.0, width, height])
         seen: BoolArray = known & (_overlap(boxes, limits) / area >= _LEAST_SHARE_SEEN)
         seen = seen & (boxes[..., 3] <= height)
+        since = times - self.start_utc_s
+        eye = 0.0 if self.platform is None else self.platform.at(since)
         distance = np.stack(
-            [np.hypot(*boat.path.at(times - self.start_utc_s).T) for boat in self.boats], axis=1
+            [np.hypot(*(boat.path.at(since) - eye).T) for boat in self.boats], axis=1
         )
         for j in range(len(self.boats)):
             nearer = distance[:, j : j + 1] < distance
@@ -439,10 +455,41 @@ class Harbour:
             length = noise.dropout_s * rng.uniform(1.0 / 3.0, 1.0)
             keep &= (times < begin) | (times > begin + length)
         times = times[keep]
-        place = chosen.path.at(times - self.start_utc_s)
+        return self._log(rng, times, chosen.path.at(times - self.start_utc_s), noise, chosen.name)
+
+    def platform_log(
+        self, noise: ReceiverNoise = EXACT, *, heading_std_deg: float = 0.3
+    ) -> Platform:
+        """What a platform that moves logs of itself, over the whole duration.
+
+        Args:
+            noise: Of its receiver; it keeps even intervals.
+            heading_std_deg: Of its compass, white.
+
+        Raises:
+            InputError: The camera stands still.
+        """
+        if self.platform is None:
+            raise InputError("this harbour's camera stands on no platform that moves")
+        rng = np.random.default_rng([self.seed, 9])
+        times = np.arange(self.start_utc_s, self.end_utc_s + 1e-9, noise.interval_s)
+        since = times - self.start_utc_s
+        fixes = self._log(rng, times, self.platform.at(since), noise, "platform")
+        heading = self.platform.heading_at_deg(since)
+        heading = (heading + heading_std_deg * rng.standard_normal(times.size)) % 360.0
+        return Platform(fixes, Headings(times, heading))
+
+    def _log(
+        self,
+        rng: np.random.Generator,
+        times: FloatArray,
+        place: FloatArray,
+        noise: ReceiverNoise,
+        name: str,
+    ) -> Fixes:
         place = place + noise.std_m * _correlated(rng, times, noise.correlation_time_s, 2)
         latitude, longitude = self.plane.to_geographic(place[:, 0], place[:, 1])
-        return Fixes(times + noise.clock_offset_s, latitude, longitude, name=chosen.name)
+        return Fixes(times + noise.clock_offset_s, latitude, longitude, name=name)
 
 
 def _correlated(

@@ -8,7 +8,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
@@ -22,6 +22,7 @@ from pyais import encode_dict
 from sightline.errors import InputError, unknown_name
 from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
+from sightline.platform import Platform
 from sightline.simulation.boats import Boat
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import (
@@ -31,6 +32,7 @@ from sightline.simulation.harbour import (
     Harbour,
     ReceiverNoise,
 )
+from sightline.simulation.platform import Warp
 from sightline.simulation.render import Look, Renderer
 from sightline.simulation.scenery import Image
 from sightline.types import Boxes, Fixes, FloatArray, Frame
@@ -60,6 +62,7 @@ _FIRST_MMSI = 211_000_001
 _RATE_JITTER = 0.15
 _LOST_FRAMES = 0.004
 _MICROSECONDS = 1e6
+_HORIZON_STD_PX = 0.5
 
 ClockKind = Literal["start", "exact", "stepped"]
 
@@ -112,6 +115,7 @@ def simulate(
     receiver: ReceiverNoise | None = None,
     look: Look | None = None,
     video: bool = True,
+    moving: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Simulation:
     """Write a synthetic harbour as somebody with a camera on a dock would have recorded it.
@@ -127,6 +131,8 @@ def simulate(
     ``truth.csv``           where every boat was at every frame
     ``truth.json``          the camera, and how everything was drawn
     ``truth-boxes/01.csv``  the exact boxes of all boats, ``track_id`` the boat
+    ``platform.csv``        what the camera's platform logged of itself, if it moves
+    ``horizon/01.csv``      the horizon in each frame, if the platform moves and there is no video
     ======================  =======================================================================
 
     Args:
@@ -150,6 +156,7 @@ def simulate(
         receiver: Noise of the target's log; absent: 1.5 m, a fix a second, some dropouts.
         look: What is drawn.
         video: Whether to render at all; without, the clock is a table.
+        moving: Whether the camera is on a vessel under way in a swell, rather than on a dock.
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -183,6 +190,7 @@ def simulate(
         image_size_px=image_size_px,
         plane=plane,
         start_utc_s=start_utc_s - lead_s,
+        moving=moving,
     )
     rng = np.random.default_rng([seed, 5])
     shot = []
@@ -197,6 +205,12 @@ def simulate(
         )
     noise = receiver if receiver is not None else ReceiverNoise()
     _write_gpx(folder / "target.gpx", harbour.fixes(noise))
+    if moving:
+        own = replace(noise, interval_jitter=0.0, dropouts_per_minute=0.0)
+        _write_platform(folder / "platform.csv", harbour.platform_log(own))
+        if not video:
+            for i, recording in enumerate(shot):
+                _write_horizon(folder / "horizon" / f"{recording.name}.csv", harbour, recording, i)
     talkers = [boat for boat in harbour.boats if boat.shape.kind == "ferry"]
     _write_ais(folder / "ais.nmea", harbour, [harbour.target, *talkers])
     settings = {
@@ -328,6 +342,34 @@ def _write_gpx(path: Path, fixes: Fixes) -> None:
     _write_text(path, gpx.to_xml(version="1.1"))
 
 
+def _write_platform(path: Path, own: Platform) -> None:
+    assert own.headings is not None, "a simulated platform has a compass"
+    _write_rows(
+        path,
+        ("time_utc", "latitude_deg", "longitude_deg", "heading_deg"),
+        zip(
+            _iso(own.fixes.time_utc_s),
+            np.round(own.fixes.latitude_deg, 9).tolist(),
+            np.round(own.fixes.longitude_deg, 9).tolist(),
+            np.round(own.headings.heading_deg, 2).tolist(),
+            strict=True,
+        ),
+    )
+
+
+def _write_horizon(path: Path, harbour: Harbour, recording: Recording, seed: int) -> None:
+    """The horizon as somebody would find it who is off by half a pixel."""
+    assert harbour.platform is not None, "the caller has looked"
+    rng = np.random.default_rng([harbour.seed, 10, seed])
+    turns = harbour.platform.turn(recording.time_utc_s - harbour.start_utc_s)
+    ends = [0.0, float(harbour.camera.image_size_px[0])]
+    lines = np.stack([harbour.camera.horizon_px(ends, turn) for turn in turns])
+    lines += _HORIZON_STD_PX * rng.standard_normal(lines.shape)
+    seen = np.flatnonzero(np.isfinite(lines).all(axis=1))
+    rows = zip(seen.tolist(), *np.round(lines[seen], 2).T.tolist(), strict=True)
+    _write_rows(path, ("frame", "left_y_px", "right_y_px"), rows)
+
+
 def _write_ais(path: Path, harbour: Harbour, boats: list[Boat]) -> None:
     lines = []
     for boat in boats:
@@ -393,12 +435,18 @@ def _write_truth(
         }
         for boat in harbour.boats
     ]
+    platform = harbour.platform
     camera = {
         "latitude_deg": harbour.plane.latitude_deg,
         "longitude_deg": harbour.plane.longitude_deg,
         **asdict(harbour.camera),
     }
-    facts = {"camera": camera, "boats": boats, "settings": settings}
+    facts: dict[str, Any] = {"camera": camera, "boats": boats, "settings": settings}
+    if platform is not None:
+        facts["platform"] = {
+            "heading_deg": platform.heading_deg,
+            "velocity_mps": list(platform.velocity_mps),
+        }
     _write_text(folder / "truth.json", json.dumps(facts, indent=2) + "\n")
 
 
@@ -409,14 +457,14 @@ def _write_videos(
     look: Look | None,
     progress: Callable[[float], None] | None,
 ) -> None:
-    renderer = Renderer(harbour, look)
+    paint = _painter(harbour, look)
     total = sum(recording.time_utc_s.size for recording in shot)
     done = 0
     for recording in shot:
 
         def frames(times: FloatArray = recording.time_utc_s) -> Iterator[Frame]:
             nonlocal done
-            for index, image in enumerate(_ahead(renderer.image, times)):
+            for index, image in enumerate(_ahead(paint, times)):
                 yield Frame(index, float(times[index]), image)
                 done += 1
                 if progress is not None:
@@ -424,6 +472,27 @@ def _write_videos(
 
         # Nobody keeps these for long: time matters more than the size of the files.
         write_video(folder / f"{recording.name}.mp4", frames(), preset="ultrafast")
+
+
+def _painter(harbour: Harbour, look: Look | None) -> Callable[[float], Image]:
+    """What paints the picture at a time."""
+    platform = harbour.platform
+    if platform is None:
+        return Renderer(harbour, look).image
+    warp = Warp(harbour.camera)
+    still = replace(
+        harbour,
+        camera=warp.still,
+        boats=tuple(platform.seen(boat) for boat in harbour.boats),
+        platform=None,
+    )
+    renderer = Renderer(still, look)
+
+    def paint(time_utc_s: float) -> Image:
+        turn = platform.turn([time_utc_s - harbour.start_utc_s])[0]
+        return warp.apply(renderer.image(time_utc_s), turn)
+
+    return paint
 
 
 def _ahead(paint: Callable[[float], Image], times: FloatArray, depth: int = 4) -> Iterator[Image]:
@@ -463,6 +532,10 @@ def _scene(
             lines.append(f'boxes = "boxes/{name}.csv"')
             lines.append(f'detections = "detections/{name}.csv"')
         lines.append('fixes = "target.gpx"')
+        if harbour.platform is not None:
+            lines.append('platform = "platform.csv"')
+            if not video:
+                lines.append(f'horizon = "horizon/{name}.csv"')
     return "\n".join(lines) + "\n"
 
 
