@@ -310,7 +310,9 @@ class Headings(_Columns):
 
 @dataclass(frozen=True, eq=False)
 class Horizons(_Columns):
-    """The horizon in the frames of a recording, as a line, in the order of time.
+    """The horizon in the frames of a recording, in the order of time.
+
+    It is the straight line that fits it best over the width of the image, since lenses bend it.
 
     Attributes:
         time_utc_s: (N,) float64, strictly increasing.

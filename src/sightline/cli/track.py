@@ -13,6 +13,7 @@ from sightline.cli.common import JsonOption, keep_apart, parse_time, progress, s
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
+from sightline.types import Horizons
 
 
 def track(
@@ -42,6 +43,16 @@ def track(
     clock: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A table frame,utc that tells the times.")
     ] = None,
+    platform: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="Where the camera's own vessel was, if it moves."),
+    ] = None,
+    horizon: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="For a table of boxes: frame,left_y_px,right_y_px of the horizon."
+        ),
+    ] = None,
     detector: Annotated[str, typer.Option(help="Finds boxes in frames.")] = "motion",
     trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
     interval_s: Annotated[
@@ -52,12 +63,20 @@ def track(
 ) -> None:
     """Make smooth tracks of everything in a video, a stream or a table of boxes."""
     output = [*output, *(more or [])]
-    keep_apart([*output, json], [source, model, clock])
+    keep_apart([*output, json], [source, model, clock, platform, horizon])
     fitted = load_model(model)
     if "://" not in source and not Path(source).exists():
         raise InputError(f"{source}: there is no such video, folder or table")
     settings = TrackSettings(trajectory=trajectory, interval_s=interval_s)
     times = formats.read_clock(clock) if clock is not None else None
+    horizons = None
+    if horizon is not None:
+        if times is None:
+            raise InputError(
+                f"{horizon}: names frames, and nothing tells their times; give a clock (--clock)"
+            )
+        frame, lines = formats.read_horizons_csv(horizon)
+        horizons = Horizons(times.time_utc_s(frame), lines[:, 0], lines[:, 1])
     count, points = 0, 0
     with ExitStack() as stack, progress() as tell:
         writers = [stack.enter_context(formats.track_writer(path)) for path in output]
@@ -67,6 +86,8 @@ def track(
             detector=detector,
             clock=times,
             start_utc_s=parse_time(start_utc),
+            platform=platform,
+            horizons=horizons,
             settings=settings,
             progress=tell,
         ):

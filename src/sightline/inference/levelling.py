@@ -8,16 +8,25 @@ as its foot is. Turns about the vertical do not show in the horizon: those are t
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+
 import numpy as np
 
+from sightline.detection.waterline import find_waterline
 from sightline.inference.camera import Camera
 from sightline.inference.camera_fit import CameraPrior
 from sightline.scene import Recording
-from sightline.types import BoolArray, Boxes, FloatArray, Horizons
+from sightline.types import BoolArray, Boxes, FloatArray, Frame, Horizons
 
 LONGEST_S = 0.5
 """Between horizons further apart than this nothing is assumed: swell has periods of seconds."""
-_INSIDE_FOLD = 0.9
+_ON_CURVE = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+"""Where along the image the straight line through a bent horizon meets it.
+
+A lens bends the horizon nearly to a parabola, and the best line crosses one at the two points of
+Gauss's quadrature.
+"""
 
 
 def level(
@@ -53,10 +62,48 @@ def level(
 def scene_horizons(recording: Recording) -> Horizons | None:
     """Where the horizon lies in a recording: as its table says, or as its pictures show.
 
+    Pictures are only looked at where the camera stands on a platform that moves.
+
     Raises:
         InputError: A file of the recording cannot be used.
     """
-    return recording.horizons()
+    told = recording.horizons()
+    if told is not None or recording.platform_path is None or recording.source is None:
+        return told
+    return _in_pictures(recording, recording.source.stat().st_mtime_ns)
+
+
+# Leaving one recording out at a time asks again and again, and a look at every picture takes long.
+@lru_cache(maxsize=32)
+def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
+    watch = HorizonWatch()
+    found = [watch.seen for _ in watch.over(recording.frames())]
+    return Horizons(
+        *(
+            np.concatenate([getattr(one, name) for one in found])
+            for name in ("time_utc_s", "left_y_px", "right_y_px")
+        )
+    )
+
+
+class HorizonWatch:
+    """Looks for the horizon in frames as they pass.
+
+    Attributes:
+        seen: Of the last frame that passed; without a row where none was found in it.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a frame."""
+        self.seen = Horizons(np.empty(0), np.empty(0), np.empty(0))
+
+    def over(self, frames: Iterable[Frame]) -> Iterator[Frame]:
+        """Hand frames on, each after a look at it."""
+        for frame in frames:
+            line = find_waterline(frame.image_bgr)
+            rows = np.array([] if line is None else [[frame.time_utc_s, *line]]).reshape(-1, 3)
+            self.seen = Horizons(*rows[np.isfinite(rows).all(axis=1)].T)
+            yield frame
 
 
 def nominal_camera(image_size_px: tuple[int, int]) -> Camera:
@@ -97,26 +144,13 @@ def _at(horizons: Horizons, time_utc_s: FloatArray) -> tuple[FloatArray, BoolArr
 
 def _up(camera: Camera, lines_px: FloatArray) -> FloatArray:
     """(N, 3) unit vectors that point up, in the camera's axes, from rows (N, 2) of the horizon."""
-    width = float(camera.image_size_px[0])
-    # A lens that is poorly known may fold before the edge; further in it is still one.
-    reach = min(0.5, _seen_px(camera) / width)
-    shares = np.array([0.5 - reach, 0.5 + reach])
-    rows = lines_px[:, :1] + (lines_px[:, 1:] - lines_px[:, :1]) * shares
+    rows = lines_px[:, :1] + (lines_px[:, 1:] - lines_px[:, :1]) * _ON_CURVE
     left, right = (
-        camera.rays(np.stack([np.full(len(rows), share * width), column], axis=1))
-        for share, column in zip(shares, rows.T, strict=True)
+        camera.rays(np.stack([np.full(len(rows), share * camera.image_size_px[0]), row], axis=1))
+        for share, row in zip(_ON_CURVE, rows.T, strict=True)
     )
     up = np.cross(right, left)
     return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
-
-
-def _seen_px(camera: Camera) -> float:
-    """How far from the middle of the image the lens can surely be inverted, pixels."""
-    if not np.isfinite(camera.largest_radius):
-        return float("inf")
-    radius = _INSIDE_FOLD * camera.largest_radius
-    bent = 1.0 + camera.k1 * radius**2 + camera.k2 * radius**4
-    return float(_INSIDE_FOLD * camera.focal_px * radius * bent)
 
 
 def _rotated(rays: FloatArray, start: FloatArray, end: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from sightline.clock import Clock
 from sightline.detection import Detector
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
+from sightline.inference.levelling import HorizonWatch
 from sightline.pipeline.boxes import (
     Progress,
     detect,
@@ -139,6 +140,7 @@ def iter_tracks(
             "boxes in a table have no presentation times, so a start time does not tell when they "
             "were seen; give a clock (frame,utc), or time_utc with the boxes"
         )
+    watch: HorizonWatch | None = None
     if isinstance(source, Boxes):
         batches, highest_id = in_hand(source)
     elif table:
@@ -146,11 +148,14 @@ def iter_tracks(
     else:
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = fit_for_use(frames, model, str(source))
+        if model.horizon_px is not None:
+            watch = HorizonWatch()
+            usable = watch.over(usable)
         batches = detect(usable, make_detector(detector, model), frame_count(source), progress)
         clock, highest_id = None, NO_TRACK
     where = "" if isinstance(source, Boxes) else f"{source}: "
     with_times = (timed(boxes, clock, model, where) for boxes in batches)
-    level = (model.level(boxes, horizons) for boxes in with_times)
+    level = (model.level(boxes, watch.seen if watch else horizons) for boxes in with_times)
     yield from follow(level, model, smoother, settings, highest_id, platform)
 
 

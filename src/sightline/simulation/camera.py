@@ -206,6 +206,21 @@ class SimulatedCamera:
             np.interp(np.asarray(x_px, dtype=float), columns, rows, left=np.nan, right=np.nan)
         )
 
+    def horizon_line_px(self, turn: FloatArray | None = None) -> FloatArray:
+        """(2,) rows at the left and right edge of the line that fits the horizon best.
+
+        Args:
+            turn: (3, 3), of the hull that the camera stands on.
+        """
+        width = self.image_size_px[0]
+        x = (np.arange(64) + 0.5) * width / 64
+        y = self.horizon_px(x, turn)
+        seen = np.isfinite(y)
+        if seen.sum() < 2:
+            return np.full(2, np.nan)
+        slope, start = np.polyfit(x[seen], y[seen], 1)
+        return np.array([start, start + slope * width])
+
     @property
     def field_of_view_deg(self) -> float:
         """Horizontal angle that the image spans through its centre."""

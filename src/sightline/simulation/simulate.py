@@ -362,8 +362,7 @@ def _write_horizon(path: Path, harbour: Harbour, recording: Recording, seed: int
     assert harbour.platform is not None, "the caller has looked"
     rng = np.random.default_rng([harbour.seed, 10, seed])
     turns = harbour.platform.turn(recording.time_utc_s - harbour.start_utc_s)
-    ends = [0.0, float(harbour.camera.image_size_px[0])]
-    lines = np.stack([harbour.camera.horizon_px(ends, turn) for turn in turns])
+    lines = np.stack([harbour.camera.horizon_line_px(turn) for turn in turns])
     lines += _HORIZON_STD_PX * rng.standard_normal(lines.shape)
     seen = np.flatnonzero(np.isfinite(lines).all(axis=1))
     rows = zip(seen.tolist(), *np.round(lines[seen], 2).T.tolist(), strict=True)

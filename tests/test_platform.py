@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sightline.errors import InputError
+from sightline.geodesy import LocalPlane
+from sightline.platform import (
+    HEADING_SIGMA_DEG,
+    POSITION_SIGMA_M,
+    Platform,
+    Pose,
+    moved_positions,
+    moved_track,
+    north_up,
+    to_bow,
+)
+from sightline.trajectory import method
+from sightline.types import Fixes, Headings, Positions
+
+PLANE = LocalPlane(54.0, 10.0)
+
+
+def pose(heading_deg: float, en_m: tuple[float, float] = (0.0, 0.0), n: int = 1) -> Pose:
+    return Pose(
+        en_m=np.tile(en_m, (n, 1)).astype(float),
+        velocity_mps=np.zeros((n, 2)),
+        heading_rad=np.full(n, np.radians(heading_deg)),
+        heading_sigma_rad=np.full(n, np.radians(HEADING_SIGMA_DEG)),
+    )
+
+
+def positions(starboard_ahead_m: np.ndarray, covariance_m2: np.ndarray | None = None) -> Positions:
+    n = len(starboard_ahead_m)
+    covariance = np.zeros((n, 2, 2)) if covariance_m2 is None else covariance_m2
+    return Positions(
+        east_m=starboard_ahead_m[:, 0],
+        north_m=starboard_ahead_m[:, 1],
+        covariance_m2=covariance,
+        extrapolated=np.zeros(n, dtype=bool),
+        plane=PLANE,
+    )
+
+
+def log(times: np.ndarray, en_m: np.ndarray) -> Fixes:
+    return Fixes(times, *PLANE.to_geographic(en_m[:, 0], en_m[:, 1]))
+
+
+@pytest.mark.parametrize(
+    ("heading_deg", "east_north", "starboard_ahead"),
+    [
+        (0.0, (3.0, 4.0), (3.0, 4.0)),
+        # Under way to the east: what lies east is ahead, what lies north is to port.
+        (90.0, (10.0, 0.0), (0.0, 10.0)),
+        (90.0, (0.0, 10.0), (-10.0, 0.0)),
+        (180.0, (3.0, 4.0), (-3.0, -4.0)),
+    ],
+)
+def test_what_the_bow_sees(heading_deg, east_north, starboard_ahead) -> None:
+    seen = to_bow(np.array([east_north]) + np.array([5.0, 6.0]), pose(heading_deg, (5.0, 6.0)))
+    np.testing.assert_allclose(seen, [starboard_ahead], atol=1e-12)
+
+
+@given(
+    heading_deg=st.floats(0.0, 360.0),
+    east=st.floats(-500.0, 500.0),
+    north=st.floats(-500.0, 500.0),
+)
+def test_there_and_back(heading_deg: float, east: float, north: float) -> None:
+    where = pose(heading_deg, (40.0, -70.0))
+    seen = to_bow(np.array([[east, north]]), where)
+    back = moved_positions(north_up(positions(seen), where), where)
+    np.testing.assert_allclose([back.east_m[0], back.north_m[0]], [east, north], atol=1e-9)
+
+
+def test_an_unsure_heading_swings_a_place_across_the_line_of_sight() -> None:
+    made = north_up(positions(np.array([[0.0, 200.0]])), pose(0.0))
+    across = 200.0 * np.radians(HEADING_SIGMA_DEG)
+    np.testing.assert_allclose(
+        made.covariance_m2[0],
+        np.diag([across**2, 0.0]) + POSITION_SIGMA_M**2 * np.eye(2),
+        atol=1e-9,
+    )
+
+
+def test_the_ellipse_turns_with_the_bow() -> None:
+    # Long ahead; under way to the east that is long to the east.
+    made = north_up(positions(np.array([[0.0, 1e-9]]), np.diag([1.0, 100.0])[None]), pose(90.0))
+    extra = POSITION_SIGMA_M**2 * np.eye(2)
+    np.testing.assert_allclose(made.covariance_m2[0], np.diag([100.0, 1.0]) + extra, atol=1e-6)
+
+
+def test_a_course_is_told_by_the_way_made_good_and_not_at_rest() -> None:
+    times = np.arange(0.0, 60.0)
+    gone = np.where(times < 30.0, 4.0 * times, 120.0)
+    platform = Platform(log(times, np.stack([gone, np.zeros(60)], axis=1)))
+    where = platform.pose([15.0, 50.0, 70.0], PLANE)
+    assert np.degrees(where.heading_rad[0]) == pytest.approx(90.0, abs=1e-3)
+    # Two fixes, each off by so much, 32 m apart.
+    assert where.heading_sigma_rad[0] == pytest.approx(np.sqrt(2) * POSITION_SIGMA_M / 32.0, 1e-3)
+    assert np.isnan(where.heading_rad[1:]).all()
+    assert where.known.tolist() == [True, False, False]
+
+
+def test_a_logged_heading_is_followed_through_north_and_not_over_silence() -> None:
+    platform = Platform(
+        log(np.array([0.0, 8.0]), np.zeros((2, 2))),
+        Headings(np.array([0.0, 2.0, 100.0]), np.array([350.0, 10.0, 20.0])),
+    )
+    where = platform.pose([1.0, 50.0], PLANE)
+    assert np.degrees(where.heading_rad[0]) % 360.0 == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(where.heading_rad[1])
+
+
+def test_a_track_is_put_where_the_platform_was() -> None:
+    times = np.arange(0.0, 20.0)
+    platform = Platform(log(times, np.stack([2.0 * times, np.zeros(20)], axis=1)))
+    # Seen from the platform it falls astern at 2 m/s: it lies still.
+    seen = positions(
+        np.stack([100.0 - 2.0 * times, np.full(20, 50.0)], axis=1), np.tile(np.eye(2), (20, 1, 1))
+    )
+    made = method("rts").apply(times, seen, track_id=1)
+    track = moved_track(made, platform.pose(made.time_utc_s, PLANE))
+    np.testing.assert_allclose(track.east_m, 100.0, atol=1e-3)
+    np.testing.assert_allclose(track.velocity_east_mps, 0.0, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("times", "headings"),
+    [([0.0], [1.0]), ([0.0, 0.0], [1.0, 2.0]), ([0.0, 1.0], [1.0, np.nan])],
+    ids=["one", "same time", "not a number"],
+)
+def test_headings_that_are_none(times, headings) -> None:
+    with pytest.raises(InputError):
+        Headings(np.array(times), np.array(headings))
