@@ -17,11 +17,12 @@ in compiled code.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from sightline.types import FloatArray
+from sightline.types import FloatArray, IntArray
 
 STATE = 6
 BAND = 9
@@ -102,9 +103,11 @@ class Posterior:
         last = self.time_s.size - 1
         right = np.searchsorted(self.time_s, time_s)
         outside = (right == 0) | (right > last)
+        if not outside.any():
+            return self._between(time_s, right)
         mean = np.empty((time_s.size, 4))
         covariance = np.empty((time_s.size, 4, 4))
-
+        mean[~outside], covariance[~outside] = self._between(time_s[~outside], right[~outside])
         end = np.where(right[outside] == 0, 0, last)
         lag = time_s[outside] - self.time_s[end]
         step = _on_both_axes(_transition(lag))
@@ -113,45 +116,59 @@ class Posterior:
         covariance[outside] += (
             _on_both_axes(_diffusion(lag)) * self.q_m2ps3[right[outside], None, None]
         )
+        covariance[outside] += _transposed(covariance[outside])
+        covariance[outside] *= 0.5
+        return mean, covariance
 
-        b = right[~outside]
-        a = b - 1
-        hold, pull, bridge = _bridge(
-            time_s[~outside] - self.time_s[a], self.time_s[b] - time_s[~outside]
-        )
-        hold, pull = _on_both_axes(hold), _on_both_axes(pull)
-        mean[~outside] = np.einsum("mij,mj->mi", hold, self.mean[a])
-        mean[~outside] += np.einsum("mij,mj->mi", pull, self.mean[b])
-        mixed = hold @ self.cross[a] @ _transposed(pull)
-        covariance[~outside] = (
-            hold @ self.covariance[a] @ _transposed(hold)
-            + pull @ self.covariance[b] @ _transposed(pull)
-            + mixed
-            + _transposed(mixed)
-            + _on_both_axes(bridge) * self.q_m2ps3[b, None, None]
-        )
-        return mean, 0.5 * (covariance + _transposed(covariance))
+    def _between(self, time_s: FloatArray, right: IntArray) -> tuple[FloatArray, FloatArray]:
+        """As `at`, for times between nodes ``right - 1`` and ``right``."""
+        before, q = right - 1, self.q_m2ps3[right]
+        weights, bridge = _bridge(time_s - self.time_s[before], self.time_s[right] - time_s)
+        # By node before or after, position or velocity there, and axis.
+        joint_mean = self._columns[0][:, before].reshape(4, 2, -1)
+        joint = self._columns[1][:, before].reshape(4, 2, 4, 2, -1)
+        mean = np.empty((4, time_s.size))
+        covariance = np.empty((4, 4, time_s.size))
+        for i, row in enumerate(weights):
+            mean[2 * i : 2 * i + 2] = _weighted(row, joint_mean)
+            half = _weighted(row, joint)
+            for j in range(i + 1):
+                block = _weighted(weights[j], half.swapaxes(0, 1))
+                for axis in (0, 1):
+                    block[axis, axis] += bridge[i + j] * q
+                block[0, 1] = block[1, 0] if i == j else block[0, 1]
+                covariance[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = block
+        covariance[:2, 2:] = covariance[2:, :2].swapaxes(0, 1)
+        return mean.T, covariance.transpose(2, 0, 1)
+
+    @cached_property
+    def _columns(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and covariance of two neighbouring nodes together, (8, N - 1) and (64, N - 1)."""
+        mean = self.mean.T
+        joint_mean = np.concatenate([mean[:, :-1], mean[:, 1:]])
+        joint = np.empty((8, 8, self.time_s.size - 1))
+        own, cross = self.covariance.transpose(1, 2, 0), self.cross.transpose(1, 2, 0)
+        joint[:4, :4], joint[4:, 4:] = own[:, :, :-1], own[:, :, 1:]
+        joint[:4, 4:], joint[4:, :4] = cross, cross.swapaxes(0, 1)
+        return joint_mean, joint.reshape(64, -1)
 
     def position_at(self, time_s: FloatArray) -> FloatArray:
         """Mean position (M, 2) at any times (M,), as `at` has it."""
-        inner = np.clip(time_s, self.time_s[0], self.time_s[-1])
-        position = self.mean[:, :2]
-        if self.time_s.size > 1:
-            b = np.clip(np.searchsorted(self.time_s, inner), 1, self.time_s.size - 1)
-            gap = (self.time_s[b] - self.time_s[b - 1])[:, None]
-            s = (inner - self.time_s[b - 1])[:, None] / gap
-            start, stop = self.mean[b - 1], self.mean[b]
-            placed = (
-                (1.0 + 2.0 * s) * (1.0 - s) ** 2 * start[:, :2]
-                + s * (1.0 - s) ** 2 * gap * start[:, 2:]
-                + s**2 * (3.0 - 2.0 * s) * stop[:, :2]
-                - s**2 * (1.0 - s) * gap * stop[:, 2:]
-            )
-        else:
-            placed = np.repeat(position, time_s.size, axis=0)
-        velocity = np.where((time_s < self.time_s[0])[:, None], self.mean[0, 2:], self.mean[-1, 2:])
-        out: FloatArray = placed + (time_s - inner)[:, None] * velocity
-        return out
+        if self.time_s.size == 1:
+            return self.mean[:, :2] + (time_s - self.time_s)[:, None] * self.mean[:, 2:]
+        right = np.clip(np.searchsorted(self.time_s, time_s), 1, self.time_s.size - 1)
+        gap = (self.time_s[1:] - self.time_s[:-1])[right - 1]
+        s = (time_s - self.time_s[right - 1]) / gap
+        inner = np.minimum(np.maximum(s, 0.0), 1.0)
+        beyond = (s - inner) * gap
+        rest = 1.0 - inner
+        later = inner * inner * (3.0 - 2.0 * inner)
+        early = inner * rest * rest * gap + np.minimum(beyond, 0.0)
+        late = np.maximum(beyond, 0.0) - inner * inner * rest * gap
+        start, stop = self.mean.T[:, right - 1], self.mean.T[:, right]
+        out: FloatArray = start[:2] + later * (stop[:2] - start[:2])
+        out += early * start[2:] + late * stop[2:]
+        return out.T
 
     def acceleration_energy(self) -> tuple[FloatArray, FloatArray]:
         """How hard the target accelerated between nodes, and how many draws that was seen from.
@@ -163,19 +180,39 @@ class Posterior:
             *Neural Computation* 4(3), 1992, for the widths of other priors).
         """
         lag = np.diff(self.time_s)
-        step = _on_both_axes(_transition(lag))
-        change = self.mean[1:] - np.einsum("nij,nj->ni", step, self.mean[:-1])
-        mixed = step @ self.cross
-        doubt = self.covariance[1:] + step @ self.covariance[:-1] @ _transposed(step)
-        doubt -= mixed + _transposed(mixed)
-        unit = _on_both_axes(_inverse_diffusion(lag))
-        energy = np.einsum("ni,nij,nj->n", change, unit, change)
-        left = np.einsum("nij,nji->n", unit, doubt) / self.q_m2ps3[1:-1]
-        return energy, np.clip(4.0 - left, 0.0, 4.0)
+        mean = self.mean.T
+        own, cross = self.covariance.transpose(1, 2, 0), self.cross.transpose(1, 2, 0)
+        before, after = own[:, :, :-1], own[:, :, 1:]
+        energy, left = np.zeros(lag.size), np.zeros(lag.size)
+        unit = np.stack([12.0 / lag**3, -12.0 / lag**2, 4.0 / lag])
+        for p, v in ((0, 2), (1, 3)):
+            moved = mean[p, 1:] - mean[p, :-1] - lag * mean[v, :-1]
+            faster = mean[v, 1:] - mean[v, :-1]
+            energy += unit[0] * moved**2 + unit[1] * moved * faster + unit[2] * faster**2
+            # Covariance of the node before, moved on, with the change: by position and velocity.
+            moved_p = cross[p, p] + lag * cross[v, p] - before[p, p] - 2.0 * lag * before[p, v]
+            moved_p -= lag**2 * before[v, v]
+            moved_v = cross[p, v] + lag * cross[v, v] - before[p, v] - lag * before[v, v]
+            faster_p = cross[v, p] - before[v, p] - lag * before[v, v]
+            faster_v = cross[v, v] - before[v, v]
+            stepped = before[p, p] + 2.0 * lag * before[p, v] + lag**2 * before[v, v]
+            left += unit[0] * (after[p, p] - stepped - 2.0 * moved_p)
+            mixed = after[p, v] - before[p, v] - lag * before[v, v] - moved_v - faster_p
+            left += unit[1] * mixed
+            left += unit[2] * (after[v, v] - before[v, v] - 2.0 * faster_v)
+        return energy, np.minimum(np.maximum(4.0 - left / self.q_m2ps3[1:-1], 0.0), 4.0)
 
 
 def _transposed(matrices: FloatArray) -> FloatArray:
     return np.swapaxes(matrices, -1, -2)
+
+
+def _weighted(weights: FloatArray, columns: FloatArray) -> FloatArray:
+    """Sum of columns (4, ..., M) with weights (4, M)."""
+    out: FloatArray = weights[0] * columns[0]
+    for weight, column in zip(weights[1:], columns[1:], strict=True):
+        out += weight * column
+    return out
 
 
 def _on_both_axes(matrices: FloatArray) -> FloatArray:
@@ -202,24 +239,38 @@ def _diffusion(lag_s: FloatArray) -> FloatArray:
     return _two_by_two(span**3 / 3.0, crossed, crossed, span)
 
 
-def _inverse_diffusion(lag_s: FloatArray) -> FloatArray:
-    crossed = -6.0 / lag_s**2
-    return _two_by_two(12.0 / lag_s**3, crossed, crossed, 4.0 / lag_s)
-
-
-def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The state between two known ones: weights (M, 2, 2) of either, and what stays unknown.
+def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The state between two known ones: how it depends on them, and what stays unknown.
 
     Args:
         first_s: (M,) seconds since the one before.
         second_s: (M,) seconds until the one after.
+
+    Returns:
+        Weights (2, 4, M) with which position and velocity are made of position and velocity
+        before and after (the cubic Hermite polynomials and their slopes); and (3, M) variance of
+        the position, covariance, and variance of the velocity that remain, for a spectral density
+        of 1.
     """
     gap = first_s + second_s
-    early = _diffusion(first_s)
-    later = _transition(second_s)
-    pull = early @ _transposed(later) @ _inverse_diffusion(gap)
-    hold = _transition(first_s) - pull @ _transition(gap)
-    return hold, pull, early - pull @ later @ early
+    s, r = first_s / gap, second_s / gap
+    later = s * s * (3.0 - 2.0 * s)
+    steep = 6.0 * s * r / gap
+    weights = np.stack(
+        [
+            *(1.0 - later, r * r * first_s, later, -s * s * second_s),
+            *(-steep, r * (1.0 - 3.0 * s), steep, s * (1.0 - 3.0 * r)),
+        ]
+    ).reshape(2, 4, -1)
+    both = s * r
+    remains = np.stack(
+        [
+            (both * gap) ** 2 * both * gap / 3.0,
+            both * both * gap * (second_s - first_s) / 2.0,
+            both * gap * (1.0 - 3.0 * both),
+        ]
+    )
+    return weights, remains
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,43 +398,70 @@ def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
     flat = band.reshape(-1, BAND)
     size = flat.shape[0]
     # Row j, diagonal d of the reversed matrix is row size - 1 - j - d, diagonal d of this one.
-    source = size - 1 - np.arange(size)[:, None] - np.arange(BAND)[None, :]
-    reversed_band = np.where(
-        source >= 0, flat[np.maximum(source, 0), np.arange(BAND)[None, :]], 0.0
-    )
+    reversed_band = np.zeros_like(flat)
+    for d in range(BAND):
+        reversed_band[: size - d, d] = flat[: size - d, d][::-1]
     backward = _factor(reversed_band.reshape(band.shape))
-    schur = _gram(_lower_blocks(forward))
-    schur_back = _gram(_lower_blocks(backward))[::-1, ::-1, ::-1]
-    lower = _lower_blocks(band)
-    diagonal = lower + _transposed(np.tril(lower, -1))
-    covariance = np.asarray(np.linalg.inv(schur + schur_back - diagonal), dtype=np.float64)
-    cross = np.empty((n - 1, STATE, STATE))
-    if n > 1:
-        cross = -np.linalg.solve(schur[:-1], _coupling(band)) @ covariance[1:]
+    # From here on with the nodes last: loops over 6 x 6 entries, each over all nodes.
+    lower, lower_back = (
+        np.ascontiguousarray(factor.transpose(1, 2, 0)) for factor in (forward, backward)
+    )
+    precision = _gram(lower) + _gram(lower_back)[::-1, ::-1, ::-1]
+    for j in range(STATE):
+        own = band[:, j, : STATE - j].T
+        precision[j:, j] -= own
+        precision[j, j + 1 :] -= own[1:]
+    covariance = _inverse(precision)[:, :4]
+    covariance[:4] = 0.5 * (covariance[:4] + covariance[:4].swapaxes(0, 1))
     return Posterior(
         time_s=nodes.time_s,
-        mean=solution.reshape(n, STATE)[:, :4],
-        covariance=covariance[:, :4, :4],
-        cross=cross[:, :4, :4],
+        mean=np.ascontiguousarray(solution.reshape(n, STATE)[:, :4].T).T,
+        covariance=covariance[:4].transpose(2, 0, 1),
+        cross=_cross(lower, covariance).transpose(2, 0, 1),
         q_m2ps3=np.atleast_1d(parameters.q_m2ps3)[0] * nodes.agility,
     )
 
 
-def _lower_blocks(band: FloatArray) -> FloatArray:
-    out = np.zeros((band.shape[0], STATE, STATE))
-    for j in range(STATE):
-        out[:, j:, j] = band[:, j, : STATE - j]
-    return out
-
-
 def _gram(lower: FloatArray) -> FloatArray:
-    return lower @ _transposed(lower)
-
-
-def _coupling(band: FloatArray) -> FloatArray:
-    """(N - 1, 6, 6) blocks of the precision between a node (rows) and the next (columns)."""
-    out = np.zeros((band.shape[0] - 1, STATE, STATE))
+    """(6, 6, N) products L Lᵀ of the diagonal blocks of a factor (6, 9, N)."""
+    out = np.zeros((STATE, STATE, lower.shape[2]))
     for j in range(STATE):
-        reached = min(STATE, j + BAND - STATE)
-        out[:, j, :reached] = band[:-1, j, STATE - j : STATE - j + reached]
+        column = lower[j, : STATE - j]
+        out[j:, j:] += column[:, None] * column
     return out
+
+
+def _inverse(matrices: FloatArray) -> FloatArray:
+    """(6, 6, N) of symmetric positive definite (6, 6, N), which it overwrites: Gauss and Jordan."""
+    for p in range(STATE):
+        row = matrices[p] / matrices[p, p]
+        row[p] = 1.0 / matrices[p, p]
+        column = matrices[:, p].copy()
+        column[p] = 0.0
+        matrices[:, p] = 0.0
+        matrices -= column[:, None] * row
+        matrices[p] = row
+    return matrices
+
+
+def _cross(lower: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(4, 4, N - 1) covariance of each node's position and velocity with those of the next.
+
+    A node given the next has the mean ``-L⁻ᵀ Bᵀ x``, where L is its block of the factor, and B
+    the one below it.
+
+    Args:
+        lower: (6, 9, N) columns of the factor.
+        covariance: (6, 4, N) of all of a node with its position and velocity.
+    """
+    own, after = lower[:, :, :-1], covariance[:, :, 1:]
+    # Row j of -Bᵀ times the covariance: B has entries down to two below its diagonal.
+    out = np.zeros((STATE, 4, own.shape[2]))
+    for j in range(STATE):
+        for i in range(min(STATE, j + BAND - STATE)):
+            out[j] -= own[j, STATE + i - j] * after[i]
+    for j in reversed(range(STATE)):
+        for i in range(j + 1, STATE):
+            out[j] -= own[j, i - j] * out[i]
+        out[j] /= own[j, 0]
+    return out[:4]

@@ -40,8 +40,6 @@ from sightline.trajectory.sight import (
     Linearised,
     NoiseAtRange,
     RobustStart,
-    determinant,
-    inverse,
 )
 from sightline.types import BoolArray, FloatArray, Positions, Track
 
@@ -238,10 +236,11 @@ class RtsSmoother:
         nodes = linear.nodes(time, used, start, self.resolution_s)
         posterior = chain.smooth(nodes, _parameters(noise, self.speed_mps))
         for i in range(_MOST_ROUNDS):
-            agreeing = _gate(time, linear, posterior, noise, used, gate)
+            at = posterior.position_at(time)
+            agreeing = _gate(time, linear, posterior, at, noise, used, gate)
             # In later rounds none comes back: those on the edge would go in and out for ever.
             used = agreeing if i < 2 or not (agreeing & used).any() else agreeing & used
-            linear = noise_at_range.linearised(posterior.position_at(time))
+            linear = noise_at_range.linearised(at)
             nodes = linear.nodes(time, used, posterior, self.resolution_s)
             if self.noise is None and i == 0:
                 noise = _learned(nodes, noise, self.speed_mps)
@@ -313,36 +312,36 @@ def _gate(
     time_s: FloatArray,
     linear: Linearised,
     posterior: chain.Posterior,
+    position_m: FloatArray,
     noise: NoiseModel,
     used: BoolArray,
     gate: float,
 ) -> BoolArray:
     """Which measurements agree with the track that the others make.
 
-    The residual of a generalised least-squares fit has the covariance of the noise less that of
-    the fit; a measurement that was left out has their sum.
+    Args:
+        time_s: (N,) of the measurements.
+        linear: The measurements.
+        posterior: The track.
+        position_m: (N, 2) of the track at their times.
+        noise: Of the measurements.
+        used: (N,) which ones the track was made of.
+        gate: Of their squared distance from it.
     """
-    residual = linear.residual(posterior.position_at(time_s))
-    nearest = np.clip(np.searchsorted(posterior.time_s, time_s), 0, posterior.time_s.size - 1)
-    fitted = posterior.covariance[nearest, :2, :2]
+    near = np.searchsorted(posterior.time_s, time_s)
+    near = np.minimum(near, posterior.time_s.size - 1)
+    fitted = np.stack([posterior.covariance[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))])
+    fitted = fitted[:, near]
     if not used.all():
-        fitted[~used] = posterior.at(time_s[~used])[1][:, :2, :2]
-    total = np.sqrt(
+        apart = posterior.at(time_s[~used])[1]
+        fitted[:, ~used] = [apart[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))]
+    share = np.sqrt(
         [
             noise.white_along**2 + noise.lasting_along**2,
             noise.white_across**2 + noise.lasting_across**2,
         ]
     )
-    stated = linear.covariance_m2 * total[:, None] * total
-    fitted = linear.axes @ fitted @ np.swapaxes(linear.axes, 1, 2)
-    # The fit of a used measurement is smaller than its noise; for those that share a node that is
-    # only nearly so, and they are held to it.
-    part = inverse(stated) @ fitted
-    half = 0.5 * (part[:, 0, 0] + part[:, 1, 1])
-    largest = half + np.sqrt(np.maximum(half**2 - determinant(part), 0.0))
-    held = np.minimum(1.0, 0.95 / np.maximum(largest, 1e-9))
-    spread = stated + np.where(used, -held, 1.0)[:, None, None] * fitted
-    distance2 = np.einsum("ni,nij,nj->n", residual, inverse(spread), residual)
+    distance2 = linear.squared_distance(position_m, fitted, share, used)
     kept = distance2 <= gate * max(1.0, float(np.median(distance2[used])) / _MEDIAN_CHI2_2)
     return kept if (kept & used).any() else used
 
