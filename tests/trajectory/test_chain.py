@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,21 +31,17 @@ def _nodes(seed: int, n: int) -> chain.Nodes:
     )
 
 
-def _parameters(**changes: FloatArray) -> chain.Parameters:
+def _parameters(**changes: Any) -> chain.Parameters:
     return replace(
         chain.Parameters(
-            q_m2ps3=np.array([0.3]),
-            tau_s=np.array([0.9]),
-            white=np.array([[0.6, 0.8]]),
-            lasting=np.array([[0.5, 0.3]]),
-            speed_mps=10.0,
+            q_m2ps3=0.3, tau_s=0.9, white=(0.6, 0.8), lasting=(0.5, 0.3), speed_mps=10.0
         ),
         **changes,
     )
 
 
 def _white_root(nodes: chain.Nodes, p: chain.Parameters, k: int) -> FloatArray:
-    return np.diag(p.white[0]) @ nodes.root_m[k] / np.sqrt(nodes.count[k])
+    return np.diag(p.white) @ nodes.root_m[k] / np.sqrt(nodes.count[k])
 
 
 def _batch(
@@ -53,7 +50,7 @@ def _batch(
     """Least squares over all states at once: one row a measurement, a step, a prior."""
     times = np.sort(np.concatenate([nodes.time_s, extra_s]))
     size = times.size
-    tau = float(p.tau_s[0])
+    tau = p.tau_s
     rows, values = [], []
 
     def add(blocks: dict[int, FloatArray], value: FloatArray, root: FloatArray) -> None:
@@ -73,14 +70,14 @@ def _batch(
         step[4, 4] = step[5, 5] = np.exp(-dt / tau)
         noise = np.zeros((6, 6))
         part = np.searchsorted(nodes.time_s, 0.5 * (times[k] + times[k + 1]))
-        q = float(p.q_m2ps3[0]) * nodes.agility[part]
+        q = p.q_m2ps3 * nodes.agility[part]
         for i in (0, 1):
             noise[i, i], noise[i + 2, i + 2] = q * dt**3 / 3.0, q * dt
             noise[i, i + 2] = noise[i + 2, i] = q * dt**2 / 2.0
             noise[i + 4, i + 4] = 1.0 - np.exp(-2.0 * dt / tau)
         add({k: -step, k + 1: np.eye(6)}, np.zeros(6), np.linalg.cholesky(noise))
     for k, time in enumerate(nodes.time_s):
-        lasting = np.diag(p.lasting[0]) @ nodes.root_m[k]
+        lasting = np.diag(p.lasting) @ nodes.root_m[k]
         sees = np.hstack([nodes.axes[k], np.zeros((2, 2)), lasting])
         add(
             {int(np.searchsorted(times, time)): sees},
@@ -147,14 +144,14 @@ def _log_density(nodes: chain.Nodes, p: chain.Parameters) -> float:
     n = nodes.time_s.size
     since = nodes.time_s - nodes.time_s[0]
     early, late = np.minimum.outer(since, since), np.maximum.outer(since, since)
-    q, tau = float(p.q_m2ps3[0]), float(p.tau_s[0])
+    q, tau = p.q_m2ps3, p.tau_s
     motion = q * (early**2 * late / 2.0 - early**3 / 6.0)
     motion += p.speed_mps**2 * np.outer(since, since) + 1.0 / chain.POSITION_PRECISION
     total = np.zeros((2 * n, 2 * n))
     for a in range(n):
         for b in range(n):
             kept = np.exp(-abs(since[a] - since[b]) / tau)
-            roots = [np.diag(p.lasting[0]) @ nodes.root_m[k] for k in (a, b)]
+            roots = [np.diag(p.lasting) @ nodes.root_m[k] for k in (a, b)]
             block = motion[a, b] * nodes.axes[a] @ nodes.axes[b].T + kept * roots[0] @ roots[1].T
             total[2 * a : 2 * a + 2, 2 * b : 2 * b + 2] = block
         root = _white_root(nodes, p, a)
@@ -170,21 +167,30 @@ def test_likelihood_ratios_are_those_of_the_normal_density(
     nodes = replace(_nodes(6, 10), agility=np.ones(11))
     variants = [
         _parameters(),
-        _parameters(q_m2ps3=np.array([2.0])),
-        _parameters(tau_s=np.array([3.0])),
-        _parameters(white=np.array([[1.4, 0.2]])),
-        _parameters(lasting=np.array([[0.1, 2.0]])),
+        _parameters(q_m2ps3=2.0),
+        _parameters(tau_s=3.0),
+        _parameters(white=(1.4, 0.2)),
+        _parameters(lasting=(0.1, 2.0)),
     ]
     expected = np.array([-2.0 * _log_density(nodes, p) for p in variants])
-    together = chain.Parameters(
-        q_m2ps3=np.concatenate([p.q_m2ps3 for p in variants]),
-        tau_s=np.concatenate([p.tau_s for p in variants]),
-        white=np.concatenate([p.white for p in variants]),
-        lasting=np.concatenate([p.lasting for p in variants]),
-        speed_mps=10.0,
-    )
-    got = chain.minus_two_log_likelihood(nodes, together)
+    got = np.array([chain.minus_two_log_likelihood(nodes, p)[0] for p in variants])
     np.testing.assert_allclose(got - got[0], expected - expected[0], rtol=1e-8, atol=1e-7)
+
+
+@pytest.mark.parametrize("n", [1, 2, 15])
+@pytest.mark.parametrize("q_m2ps3", [0.02, 0.3, 5.0])
+def test_gradient_of_the_likelihood_is_its_slope(q_m2ps3: float, n: int) -> None:
+    nodes = _nodes(8, n)
+    logs = np.log([q_m2ps3, 0.9, 0.6, 0.8, 0.5, 0.3])
+
+    def value(at: FloatArray) -> tuple[float, FloatArray]:
+        q, tau, *shares = np.exp(at).tolist()
+        p = _parameters(q_m2ps3=q, tau_s=tau, white=shares[:2], lasting=shares[2:])
+        return chain.minus_two_log_likelihood(nodes, p)
+
+    step = 1e-4 * np.eye(6)
+    slope = [(value(logs + one)[0] - value(logs - one)[0]) / 2e-4 for one in step]
+    np.testing.assert_allclose(value(logs)[1], slope, rtol=1e-6, atol=1e-5)
 
 
 @pytest.mark.parametrize("q_m2ps3", [0.02, 0.3, 5.0])
@@ -192,16 +198,11 @@ def test_energy_and_draws_are_the_slope_of_the_likelihood(q_m2ps3: float) -> Non
     """By Fisher's identity: d(-2 log L) / d log q is the draws less the energy over q."""
     nodes = replace(_nodes(7, 15), agility=np.ones(16))
     step = 1e-4
-    around = _parameters(
-        q_m2ps3=q_m2ps3 * np.exp([step, -step]),
-        tau_s=np.full(2, 0.9),
-        white=np.tile([[0.6, 0.8]], (2, 1)),
-        lasting=np.tile([[0.5, 0.3]], (2, 1)),
+    up, down = (
+        chain.minus_two_log_likelihood(nodes, _parameters(q_m2ps3=q_m2ps3 * np.exp(sign * step)))[0]
+        for sign in (1.0, -1.0)
     )
-    up, down = chain.minus_two_log_likelihood(nodes, around)
-    energy, draws = chain.smooth(
-        nodes, _parameters(q_m2ps3=np.array([q_m2ps3]))
-    ).acceleration_energy()
+    energy, draws = chain.smooth(nodes, _parameters(q_m2ps3=q_m2ps3)).acceleration_energy()
     assert ((draws > 0.0) & (draws < 4.0)).all()
     slope = draws.sum() - energy.sum() / q_m2ps3
     assert slope == pytest.approx((up - down) / (2.0 * step), abs=1e-4)

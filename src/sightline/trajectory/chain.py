@@ -26,7 +26,7 @@ from sightline.types import FloatArray, IntArray
 
 STATE = 6
 BAND = 9
-_SEEN = (0, 1, 4, 5)
+_SEEN = [0, 1, 4, 5]
 POSITION_PRECISION = 1e-12
 """Of the first node's position, per square metre: nothing is known of it before measurements."""
 
@@ -57,20 +57,20 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """What drives the chain; every field may be an array of a leading shape K, for K chains.
+    """What drives the chain.
 
     Attributes:
         q_m2ps3: Spectral density of the acceleration.
         tau_s: Time constant of the lasting noise.
-        white: (K, 2) share of the stated standard deviation that is white, along and across.
-        lasting: (K, 2) share that lasts.
+        white: Shares of the stated standard deviation that are white, along and across.
+        lasting: Shares that last.
         speed_mps: Standard deviation of each component of the velocity before measurements.
     """
 
-    q_m2ps3: FloatArray
-    tau_s: FloatArray
-    white: FloatArray
-    lasting: FloatArray
+    q_m2ps3: float
+    tau_s: float
+    white: tuple[float, float]
+    lasting: tuple[float, float]
     speed_mps: float
 
 
@@ -179,28 +179,43 @@ class Posterior:
             Over any stretch the first over the second is the density that fits it best (MacKay,
             *Neural Computation* 4(3), 1992, for the widths of other priors).
         """
-        lag = np.diff(self.time_s)
-        mean = self.mean.T
         own, cross = self.covariance.transpose(1, 2, 0), self.cross.transpose(1, 2, 0)
-        before, after = own[:, :, :-1], own[:, :, 1:]
-        energy, left = np.zeros(lag.size), np.zeros(lag.size)
-        unit = np.stack([12.0 / lag**3, -12.0 / lag**2, 4.0 / lag])
-        for p, v in ((0, 2), (1, 3)):
-            moved = mean[p, 1:] - mean[p, :-1] - lag * mean[v, :-1]
-            faster = mean[v, 1:] - mean[v, :-1]
-            energy += unit[0] * moved**2 + unit[1] * moved * faster + unit[2] * faster**2
-            # Covariance of the node before, moved on, with the change: by position and velocity.
-            moved_p = cross[p, p] + lag * cross[v, p] - before[p, p] - 2.0 * lag * before[p, v]
-            moved_p -= lag**2 * before[v, v]
-            moved_v = cross[p, v] + lag * cross[v, v] - before[p, v] - lag * before[v, v]
-            faster_p = cross[v, p] - before[v, p] - lag * before[v, v]
-            faster_v = cross[v, v] - before[v, v]
-            stepped = before[p, p] + 2.0 * lag * before[p, v] + lag**2 * before[v, v]
-            left += unit[0] * (after[p, p] - stepped - 2.0 * moved_p)
-            mixed = after[p, v] - before[p, v] - lag * before[v, v] - moved_v - faster_p
-            left += unit[1] * mixed
-            left += unit[2] * (after[v, v] - before[v, v] - 2.0 * faster_v)
-        return energy, np.minimum(np.maximum(4.0 - left / self.q_m2ps3[1:-1], 0.0), 4.0)
+        energy, doubt = _energy(np.diff(self.time_s), self.mean.T, own, cross)
+        left = doubt / self.q_m2ps3[1:-1]
+        return energy, np.minimum(np.maximum(4.0 - left, 0.0), 4.0)
+
+
+def _energy(
+    lag_s: FloatArray, mean: FloatArray, own: FloatArray, cross: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Squares of the changes between nodes, in units of a spectral density of 1 m²/s³.
+
+    Args:
+        lag_s: (N - 1,) between nodes.
+        mean: (4 or more, N) of the nodes.
+        own: (4 or more, 4 or more, N) covariance of each node.
+        cross: (4 or more, 4 or more, N - 1) covariance of each node with the next.
+
+    Returns:
+        Two (N - 1,) arrays: of the mean change, and what its covariance adds to its expectation.
+    """
+    before, after = own[:, :, :-1], own[:, :, 1:]
+    energy, doubt = np.zeros(lag_s.size), np.zeros(lag_s.size)
+    pp, pv, vv = 12.0 / lag_s**3, -12.0 / lag_s**2, 4.0 / lag_s
+    for p, v in ((0, 2), (1, 3)):
+        moved = mean[p, 1:] - mean[p, :-1] - lag_s * mean[v, :-1]
+        faster = mean[v, 1:] - mean[v, :-1]
+        energy += pp * moved**2 + pv * moved * faster + vv * faster**2
+        # Covariances of the node before, moved on to the time of the next, then with the next.
+        old_vv = before[v, v]
+        old_pv = before[p, v] + lag_s * old_vv
+        old_pp = before[p, p] + lag_s * (before[p, v] + old_pv)
+        both_pp = cross[p, p] + lag_s * cross[v, p]
+        both_pv = cross[p, v] + lag_s * cross[v, v] + cross[v, p]
+        doubt += pp * (after[p, p] + old_pp - 2.0 * both_pp)
+        doubt += pv * (after[p, v] + old_pv - both_pv)
+        doubt += vv * (after[v, v] + old_vv - 2.0 * cross[v, v])
+    return energy, doubt
 
 
 def _transposed(matrices: FloatArray) -> FloatArray:
@@ -275,151 +290,206 @@ def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Precision, right-hand side and constants of K chains of N nodes each.
+    """Precision, right-hand side and constants of a chain of N nodes.
 
     Attributes:
-        band: (K, N, 6, 9) lower diagonals: ``band[k, n, j, d]`` is the entry ``d`` below the
-            diagonal in the column of component j of node n.
-        right: (K, N, 6).
-        minus_two_log: (K,) the terms of -2 log likelihood that do not need the solution.
-        whitened: (2, K, N) measurements in units of their white noise.
-        design: (2, 6, K, N) what they measure of a node, in the same units.
+        band: (6, 9, N) lower diagonals: ``band[j, d, n]`` is the entry ``d`` below the diagonal
+            in the column of component j of node n.
+        right: (6, N).
+        minus_two_log: The terms of -2 log likelihood that do not need the solution.
+        whitened: (2, N) measurements in units of their white noise.
+        design: (2, 4, N) what they measure of a node's position and lasting noise, in these units.
     """
 
     band: FloatArray
     right: FloatArray
-    minus_two_log: FloatArray
+    minus_two_log: float
     whitened: FloatArray
     design: FloatArray
 
 
 def _system(nodes: Nodes, parameters: Parameters) -> _System:
-    q = np.atleast_1d(parameters.q_m2ps3)[:, None] * nodes.agility[None, 1:-1]
-    tau = np.atleast_1d(parameters.tau_s)[:, None]
-    white = np.atleast_2d(parameters.white)
-    lasting = np.atleast_2d(parameters.lasting)
-    k, n = tau.shape[0], nodes.time_s.size
-    band = np.zeros((k, n, STATE, BAND))
-    minus_two_log = np.zeros(k)
+    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    n = nodes.time_s.size
+    band = np.zeros((STATE, BAND, n))
 
-    lag = np.diff(nodes.time_s)[None, :]
-    a, b, c = 12.0 / (q * lag**3), 6.0 / (q * lag**2), 2.0 / (q * lag)
-    for i in (0, 1):
-        band[:, :-1, i, 0] += a
-        band[:, :-1, i, 2] += b
-        band[:, :-1, i + 2, 0] += 2.0 * c
-        band[:, :-1, i, 6] -= a
-        band[:, :-1, i, 8] += b
-        band[:, :-1, i + 2, 4] -= b
-        band[:, :-1, i + 2, 6] += c
-        band[:, 1:, i, 0] += a
-        band[:, 1:, i, 2] -= b
-        band[:, 1:, i + 2, 0] += 2.0 * c
-        band[:, 0, i, 0] += POSITION_PRECISION
-        band[:, 0, i + 2, 0] += parameters.speed_mps**-2.0
-    minus_two_log -= 2.0 * np.log(12.0 / (q**2 * lag**4)).sum(axis=1)
+    lag = np.diff(nodes.time_s)
+    c = 2.0 / (q * lag)
+    b = 3.0 * c / lag
+    a = 2.0 * b / lag
+    position, velocity = band[:2], band[2:4]
+    position[:, 0, :-1] = a
+    position[:, 0, 1:] += a
+    position[:, 0, 0] += POSITION_PRECISION
+    position[:, 2, :-1] = b
+    position[:, 2, 1:] -= b
+    velocity[:, 0, :-1] = 2.0 * c
+    velocity[:, 0, 1:] += 2.0 * c
+    velocity[:, 0, 0] += parameters.speed_mps**-2.0
+    position[:, 6, :-1] = -a
+    position[:, 8, :-1] = b
+    velocity[:, 4, :-1] = -b
+    velocity[:, 6, :-1] = c
 
-    kept = np.exp(-lag / tau)
-    fresh = -1.0 / np.expm1(-2.0 * lag / tau)
-    for i in (4, 5):
-        band[:, :-1, i, 0] += kept**2 * fresh
-        band[:, :-1, i, 6] -= kept * fresh
-        band[:, 1:, i, 0] += fresh
-        band[:, 0, i, 0] += 1.0
-    minus_two_log -= 2.0 * np.log(fresh).sum(axis=1)
+    kept = np.exp(-lag / parameters.tau_s)
+    fresh = 1.0 / (1.0 - kept * kept)
+    lasting = band[4:6]
+    lasting[:, 0, :-1] = kept * kept * fresh
+    lasting[:, 0, 1:] += fresh
+    lasting[:, 0, 0] += 1.0
+    lasting[:, 6, :-1] = -kept * fresh
+    # Of the motion, 12 / (q² lag⁴) is 3 c² / lag².
+    minus_two_log = -2.0 * float(np.log(3.0 * (c / lag) ** 2 * fresh).sum())
 
-    # One row a measurement, in units of its white noise: written out by component, since stacks
-    # of 2 x 2 products would take most of the time.
+    # One row a measurement, in units of its white noise.
+    (white, white_across), (share, share_across) = parameters.white, parameters.lasting
     l11, l21, l22 = nodes.root_m[:, 0, 0], nodes.root_m[:, 1, 0], nodes.root_m[:, 1, 1]
     size = np.sqrt(nodes.count)
-    first = (size / l11) / white[:, :1]
-    mixed = (-size * l21 / (l11 * l22)) / white[:, :1]
-    second = (size / l22) / white[:, 1:]
-    minus_two_log -= 2.0 * np.log(first * second).sum(axis=1)
-    share = lasting / white
+    first, second = size / (l11 * white), size / (l22 * white_across)
+    lean = l21 / l22
+    mixed = -lean * first
+    minus_two_log -= 2.0 * float(np.log(first * second).sum())
     axes, measured = nodes.axes, nodes.measured_m
-    design = np.zeros((2, STATE, k, n))
+    design = np.zeros((2, 4, n))
     for i in (0, 1):
         design[0, i] = first * axes[:, 0, i]
         design[1, i] = mixed * axes[:, 0, i] + second * axes[:, 1, i]
-    design[0, 4] = size * share[:, :1]
-    design[1, 4] = (size * l21 / l22) * (share[:, 1:] - share[:, :1])
-    design[1, 5] = size * share[:, 1:]
+    design[0, 2] = size * (share / white)
+    design[1, 2] = (size * lean) * (share_across / white_across - share / white)
+    design[1, 3] = size * (share_across / white_across)
     whitened = np.stack([first * measured[:, 0], mixed * measured[:, 0] + second * measured[:, 1]])
 
-    right = np.zeros((k, n, STATE))
-    for j in _SEEN:
-        right[..., j] = design[0, j] * whitened[0] + design[1, j] * whitened[1]
-        for i in _SEEN:
-            if i >= j:
-                band[..., j, i - j] += design[0, i] * design[0, j] + design[1, i] * design[1, j]
+    right = np.zeros((STATE, n))
+    right[_SEEN] = design[0] * whitened[0] + design[1] * whitened[1]
+    for place, j in enumerate(_SEEN):
+        products = design[0, place:] * design[0, place] + design[1, place:] * design[1, place]
+        for i, product in zip(_SEEN[place:], products, strict=True):
+            band[j, i - j] += product
     return _System(band, right, minus_two_log, whitened, design)
 
 
 def _factor(band: FloatArray) -> FloatArray:
-    """The banded Cholesky factor of a (..., 6, 9) stack of columns."""
-    factor, info = dpbtrf(band.reshape(-1, BAND).T, lower=1)
+    """The banded Cholesky factor of rows (6 N, 9), each a column of the matrix."""
+    factor, info = dpbtrf(band.T, lower=1)
     if info != 0:
         raise np.linalg.LinAlgError(f"precision matrix is not positive definite at row {info}")
-    columns: FloatArray = factor.T.reshape(band.shape)
-    return columns
+    return np.asarray(factor.T)
 
 
-def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> FloatArray:
-    """-2 log likelihood of the measurements under K sets of parameters, up to one constant.
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """The posterior of a chain, the nodes last.
 
-    Args:
-        nodes: N measurements, their positions about the origin of the measured ones.
-        parameters: Fields of leading shape K.
-
-    Returns:
-        (K,) float64.
+    Attributes:
+        mean: (6, N).
+        covariance: (6, 6, N).
+        cross: (6, 6, N - 1), of a node with the next.
+        log_determinant: Of the precision matrix.
     """
-    system = _system(nodes, parameters)
-    factor = _factor(system.band)
-    solution, _ = dpbtrs(factor.reshape(-1, BAND).T, system.right.reshape(-1), lower=1)
-    solution = solution.reshape(system.right.shape)
-    fit = np.zeros(factor.shape[0])
-    for row, whitened in zip(system.design, system.whitened, strict=True):
-        rest = whitened - sum(row[j] * solution[..., j] for j in _SEEN)
-        fit += (rest * whitened).sum(axis=1)
-    determinant = 2.0 * np.log(factor[..., 0]).sum(axis=(1, 2))
-    out: FloatArray = system.minus_two_log + determinant + fit
-    return out
+
+    mean: FloatArray
+    covariance: FloatArray
+    cross: FloatArray
+    log_determinant: float
 
 
-def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
-    """The posterior of position and velocity at the nodes, for one set of parameters."""
-    system = _system(nodes, parameters)
-    band = system.band[0]
-    n = band.shape[0]
-    forward = _factor(band)
-    solution, _ = dpbtrs(forward.reshape(-1, BAND).T, system.right.reshape(-1), lower=1)
-    flat = band.reshape(-1, BAND)
+def _solve(system: _System) -> _Solution:
+    flat = np.ascontiguousarray(system.band.transpose(2, 0, 1)).reshape(-1, BAND)
     size = flat.shape[0]
+    forward = _factor(flat)
+    solution, _ = dpbtrs(forward.T, system.right.T.reshape(-1), lower=1)
     # Row j, diagonal d of the reversed matrix is row size - 1 - j - d, diagonal d of this one.
-    reversed_band = np.zeros_like(flat)
+    reversed_flat = np.zeros_like(flat)
     for d in range(BAND):
-        reversed_band[: size - d, d] = flat[: size - d, d][::-1]
-    backward = _factor(reversed_band.reshape(band.shape))
-    # From here on with the nodes last: loops over 6 x 6 entries, each over all nodes.
+        reversed_flat[: size - d, d] = flat[: size - d, d][::-1]
+    backward = _factor(reversed_flat)
     lower, lower_back = (
-        np.ascontiguousarray(factor.transpose(1, 2, 0)) for factor in (forward, backward)
+        np.ascontiguousarray(factor.reshape(-1, STATE, BAND).transpose(1, 2, 0))
+        for factor in (forward, backward)
     )
     precision = _gram(lower) + _gram(lower_back)[::-1, ::-1, ::-1]
     for j in range(STATE):
-        own = band[:, j, : STATE - j].T
+        own = system.band[j, : STATE - j]
         precision[j:, j] -= own
         precision[j, j + 1 :] -= own[1:]
-    covariance = _inverse(precision)[:, :4]
-    covariance[:4] = 0.5 * (covariance[:4] + covariance[:4].swapaxes(0, 1))
+    covariance = _inverse(precision)
+    covariance = 0.5 * (covariance + covariance.swapaxes(0, 1))
+    return _Solution(
+        mean=np.ascontiguousarray(solution.reshape(-1, STATE).T),
+        covariance=covariance,
+        cross=_cross(lower, covariance),
+        log_determinant=2.0 * float(np.log(forward[:, 0]).sum()),
+    )
+
+
+def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
+    """The posterior of position and velocity at the nodes."""
+    solution = _solve(_system(nodes, parameters))
     return Posterior(
         time_s=nodes.time_s,
-        mean=np.ascontiguousarray(solution.reshape(n, STATE)[:, :4].T).T,
-        covariance=covariance[:4].transpose(2, 0, 1),
-        cross=_cross(lower, covariance).transpose(2, 0, 1),
-        q_m2ps3=np.atleast_1d(parameters.q_m2ps3)[0] * nodes.agility,
+        mean=solution.mean[:4].T,
+        covariance=solution.covariance[:4, :4].transpose(2, 0, 1),
+        cross=solution.cross[:4, :4].transpose(2, 0, 1),
+        q_m2ps3=parameters.q_m2ps3 * nodes.agility,
     )
+
+
+def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[float, FloatArray]:
+    """-2 log likelihood of the measurements, up to a constant, and its gradient.
+
+    By Fisher's identity the gradient is the expectation, over the smoothed chain, of the gradient
+    of the joint density of chain and measurements (Cappé, Moulines and Rydén, *Inference in Hidden
+    Markov Models*, 2005, section 10.1.3).
+
+    Args:
+        nodes: N measurements, their positions about the origin of the measured ones.
+        parameters: Of the chain.
+
+    Returns:
+        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``, ``tau_s``, ``white``
+        along and across, ``lasting`` along and across.
+    """
+    system = _system(nodes, parameters)
+    solution = _solve(system)
+    mean, own, cross = solution.mean, solution.covariance, solution.cross
+    rest = system.whitened - (system.design * mean[_SEEN]).sum(axis=1)
+    value = system.minus_two_log + solution.log_determinant + float((rest * system.whitened).sum())
+
+    lag = np.diff(nodes.time_s)
+    energy, doubt = _energy(lag, mean, own, cross)
+    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    by_q = 4.0 * lag.size - ((energy + doubt) / q).sum()
+
+    # Of the lasting noise: o' = kept o + sqrt(1 - kept²) draw, for both components at once.
+    kept = np.exp(-lag / parameters.tau_s)
+    fresh = 1.0 / (1.0 - kept * kept)
+    old, both, new = np.zeros((3, lag.size))
+    for j in (4, 5):
+        old += mean[j, :-1] ** 2 + own[j, j, :-1]
+        both += mean[j, :-1] * mean[j, 1:] + cross[j, j]
+        new += mean[j, 1:] ** 2 + own[j, j, 1:]
+    drawn = fresh * (new - 2.0 * kept * both + kept * kept * old)
+    by_kept = 2.0 * fresh * (kept * (drawn - 2.0) - (both - kept * old))
+    by_tau = (by_kept * kept * lag).sum() / parameters.tau_s
+
+    # Second moments of the white errors (in units of them), and with the lasting noise.
+    seen = own[np.ix_(_SEEN, _SEEN)]
+    pulled = (system.design[:, :, None] * seen).sum(axis=1)
+    along2, across2 = rest * rest + (pulled * system.design).sum(axis=1)
+    product = rest[0] * rest[1] + (pulled[0] * system.design[1]).sum(axis=0)
+    (along_o1, _), (across_o1, across_o2) = rest[:, None] * mean[4:] - pulled[:, 2:]
+    lean = nodes.root_m[:, 1, 0] / nodes.root_m[:, 1, 1]
+    size = np.sqrt(nodes.count)
+    n = nodes.time_s.size
+    gradient = [
+        by_q,
+        by_tau,
+        2.0 * (n - (along2 - lean * product).sum()),
+        2.0 * (n - (across2 + lean * product).sum()),
+        -2.0 * parameters.lasting[0] / parameters.white[0] * (size @ (along_o1 - lean * across_o1)),
+        -2.0 * parameters.lasting[1] / parameters.white[1] * (size @ (lean * across_o1 + across_o2)),
+    ]
+    return value, np.array(gradient)
 
 
 def _gram(lower: FloatArray) -> FloatArray:
@@ -445,18 +515,18 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 
 def _cross(lower: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(4, 4, N - 1) covariance of each node's position and velocity with those of the next.
+    """(6, 6, N - 1) covariance of each node with the next.
 
     A node given the next has the mean ``-L⁻ᵀ Bᵀ x``, where L is its block of the factor, and B
     the one below it.
 
     Args:
         lower: (6, 9, N) columns of the factor.
-        covariance: (6, 4, N) of all of a node with its position and velocity.
+        covariance: (6, 6, N) of the nodes.
     """
     own, after = lower[:, :, :-1], covariance[:, :, 1:]
     # Row j of -Bᵀ times the covariance: B has entries down to two below its diagonal.
-    out = np.zeros((STATE, 4, own.shape[2]))
+    out = np.zeros((STATE, STATE, own.shape[2]))
     for j in range(STATE):
         for i in range(min(STATE, j + BAND - STATE)):
             out[j] -= own[j, STATE + i - j] * after[i]
@@ -464,4 +534,4 @@ def _cross(lower: FloatArray, covariance: FloatArray) -> FloatArray:
         for i in range(j + 1, STATE):
             out[j] -= own[j, i - j] * out[i]
         out[j] /= own[j, 0]
-    return out[:4]
+    return out

@@ -294,16 +294,11 @@ def _logs(noise: NoiseModel) -> FloatArray:
 
 
 def _parameters(noise: NoiseModel, speed_mps: float) -> chain.Parameters:
-    return _candidates(np.array([list(vars(noise).values())]), speed_mps)
-
-
-def _candidates(noises: FloatArray, speed_mps: float) -> chain.Parameters:
-    """From rows (K, 6) in the order of the fields of `NoiseModel`."""
     return chain.Parameters(
-        q_m2ps3=noises[:, 0],
-        tau_s=noises[:, 1],
-        white=noises[:, 2:4],
-        lasting=noises[:, 4:6],
+        q_m2ps3=noise.acceleration_m2ps3,
+        tau_s=noise.lasting_s,
+        white=(noise.white_along, noise.white_across),
+        lasting=(noise.lasting_along, noise.lasting_across),
         speed_mps=speed_mps,
     )
 
@@ -397,19 +392,21 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
     nodes = replace(nodes, measured_m=nodes.measured_m - nodes.axes @ centre)
     median = _logs(_PRIOR_MEDIAN)
     low, high = np.array(_BOUNDS).T
-    step = 1e-5
     # About the curvature of the objective, so that the first step has the right length.
     scale = 1.0 / np.sqrt(0.3 * nodes.time_s.size + _PRIOR_SD**-2.0)
 
     def objective(scaled: FloatArray) -> tuple[float, FloatArray]:
-        stencil = np.vstack([scaled * scale, scaled * scale + step * np.eye(6)])
-        values = 0.5 * chain.minus_two_log_likelihood(
-            nodes, _candidates(np.exp(stencil), speed_mps)
-        )
-        values += 0.5 * (((stencil - median) / _PRIOR_SD) ** 2).sum(axis=1)
-        total = 0.5 * np.log(np.exp(2.0 * stencil[:, 2:4]) + np.exp(2.0 * stencil[:, 4:6]))
-        values += 0.5 * ((total / _TOTAL_PRIOR_SD) ** 2).sum(axis=1)
-        return float(values[0]), (values[1:] - values[0]) / step * scale
+        logs = scaled * scale
+        noise = NoiseModel(*np.exp(logs).tolist())
+        value, gradient = chain.minus_two_log_likelihood(nodes, _parameters(noise, speed_mps))
+        belief = (logs - median) / _PRIOR_SD
+        white2, lasting2 = np.exp(2.0 * logs[2:]).reshape(2, 2)
+        total = 0.5 * np.log(white2 + lasting2) / _TOTAL_PRIOR_SD
+        value += float(belief @ belief + total @ total)
+        gradient += 2.0 * belief / _PRIOR_SD
+        each = np.concatenate([white2, lasting2]) / np.tile(white2 + lasting2, 2)
+        gradient[2:] += 2.0 * np.tile(total, 2) / _TOTAL_PRIOR_SD * each
+        return 0.5 * value, 0.5 * gradient * scale
 
     found = minimize(
         objective,
