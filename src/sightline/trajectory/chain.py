@@ -26,6 +26,7 @@ from sightline.types import FloatArray, IntArray
 
 STATE = 6
 BAND = 9
+_CHUNK = 512
 _SEEN = [0, 1, 4, 5]
 POSITION_PRECISION = 1e-12
 """Of the first node's position, per square metre: nothing is known of it before measurements."""
@@ -100,46 +101,52 @@ class Posterior:
         whose mean is the cubic Hermite polynomial; beyond the ends the velocity stays as it is
         and the uncertainty grows.
         """
+        mean = np.empty((4, time_s.size))
+        covariance = np.empty((4, 4, time_s.size))
+        for start in range(0, time_s.size, _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            self._fill(time_s[rows], mean[:, rows], covariance[:, :, rows])
+        return mean.T, covariance.transpose(2, 0, 1)
+
+    def _fill(self, time_s: FloatArray, mean: FloatArray, covariance: FloatArray) -> None:
+        """As `at`, into (4, M) and (4, 4, M)."""
         last = self.time_s.size - 1
         right = np.searchsorted(self.time_s, time_s)
-        outside = (right == 0) | (right > last)
-        if not outside.any():
-            return self._between(time_s, right)
-        mean = np.empty((time_s.size, 4))
-        covariance = np.empty((time_s.size, 4, 4))
-        mean[~outside], covariance[~outside] = self._between(time_s[~outside], right[~outside])
+        inside = (right > 0) & (right <= last)
+        if inside.all():
+            self._between(time_s, right, mean, covariance)
+            return
+        part, spread = np.empty((4, inside.sum())), np.empty((4, 4, inside.sum()))
+        self._between(time_s[inside], right[inside], part, spread)
+        mean[:, inside], covariance[:, :, inside] = part, spread
+        outside = ~inside
         end = np.where(right[outside] == 0, 0, last)
         lag = time_s[outside] - self.time_s[end]
         step = _on_both_axes(_transition(lag))
-        mean[outside] = np.einsum("mij,mj->mi", step, self.mean[end])
-        covariance[outside] = step @ self.covariance[end] @ _transposed(step)
-        covariance[outside] += (
-            _on_both_axes(_diffusion(lag)) * self.q_m2ps3[right[outside], None, None]
-        )
-        covariance[outside] += _transposed(covariance[outside])
-        covariance[outside] *= 0.5
-        return mean, covariance
+        spread = step @ self.covariance[end] @ _transposed(step)
+        spread += _on_both_axes(_diffusion(lag)) * self.q_m2ps3[right[outside], None, None]
+        mean[:, outside] = np.einsum("mij,mj->im", step, self.mean[end])
+        covariance[:, :, outside] = 0.5 * (spread + _transposed(spread)).transpose(1, 2, 0)
 
-    def _between(self, time_s: FloatArray, right: IntArray) -> tuple[FloatArray, FloatArray]:
-        """As `at`, for times between nodes ``right - 1`` and ``right``."""
+    def _between(
+        self, time_s: FloatArray, right: IntArray, mean: FloatArray, covariance: FloatArray
+    ) -> None:
+        """As `_fill`, for times between nodes ``right - 1`` and ``right``."""
         before, q = right - 1, self.q_m2ps3[right]
         weights, bridge = _bridge(time_s - self.time_s[before], self.time_s[right] - time_s)
         # By node before or after, position or velocity there, and axis.
         joint_mean = self._columns[0][:, before].reshape(4, 2, -1)
         joint = self._columns[1][:, before].reshape(4, 2, 4, 2, -1)
-        mean = np.empty((4, time_s.size))
-        covariance = np.empty((4, 4, time_s.size))
         for i, row in enumerate(weights):
             mean[2 * i : 2 * i + 2] = _weighted(row, joint_mean)
-            half = _weighted(row, joint)
+            half = _weighted(row, joint).swapaxes(0, 1)
             for j in range(i + 1):
-                block = _weighted(weights[j], half.swapaxes(0, 1))
+                block = covariance[2 * i : 2 * i + 2, 2 * j : 2 * j + 2]
+                block[...] = _weighted(weights[j], half)
                 for axis in (0, 1):
                     block[axis, axis] += bridge[i + j] * q
-                block[0, 1] = block[1, 0] if i == j else block[0, 1]
-                covariance[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = block
+            block[0, 1] = block[1, 0]
         covariance[:2, 2:] = covariance[2:, :2].swapaxes(0, 1)
-        return mean.T, covariance.transpose(2, 0, 1)
 
     @cached_property
     def _columns(self) -> tuple[FloatArray, FloatArray]:

@@ -94,14 +94,13 @@ _PRIOR_MEDIAN = NoiseModel(0.1, 0.8, 0.8, 0.8, 0.03, 0.03)
 _PRIOR_SD = np.array([2.0, 0.15, 1.0, 1.0, 2.0, 2.0])
 _BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
 _TOTAL_PRIOR_SD = 0.4
-_BOUNDS = [
-    (np.log(1e-4), np.log(30.0)),
-    (np.log(0.1), np.log(5.0)),
-    (np.log(0.03), np.log(20.0)),
-    (np.log(0.03), np.log(20.0)),
-    (np.log(0.003), np.log(20.0)),
-    (np.log(0.003), np.log(20.0)),
-]
+# Of the acceleration, the time constant, all noise along and across, and the lasting over the white.
+_BOUNDS = [(1e-4, 30.0), (0.1, 5.0), (0.03, 20.0), (0.03, 20.0), (1e-3, 100.0), (1e-3, 100.0)]
+_ENOUGH = 3e-3
+_CURVATURE = np.array([0.3, 0.3, 2.0, 1.0, 0.03, 0.03])
+"""Of the log likelihood by the logarithms of these, for each node; about."""
+_ENOUGH = 3e-3
+"""The search ends at a step that adds no more than this share to what was gained."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,35 +385,59 @@ def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
 
 
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
-    """The noise model with the largest posterior probability given the measurements."""
+    """The noise model with the largest posterior probability given the measurements.
+
+    In place of the white and the lasting share along each axis it is looked for by the logarithms
+    of both together and of their ratio: the measurements tell the former well whatever the latter
+    is, so that the objective is nearly a sum of functions of one variable.
+    """
     nodes = _excerpt(nodes)
     centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
     nodes = replace(nodes, measured_m=nodes.measured_m - nodes.axes @ centre)
     median = _logs(_PRIOR_MEDIAN)
-    low, high = np.array(_BOUNDS).T
     # About the curvature of the objective, so that the first step has the right length.
-    scale = 1.0 / np.sqrt(0.3 * nodes.time_s.size + _PRIOR_SD**-2.0)
+    scale = 1.0 / np.sqrt(_CURVATURE * nodes.time_s.size + _PRIOR_SD**-2.0)
+
+    values: list[float] = []
 
     def objective(scaled: FloatArray) -> tuple[float, FloatArray]:
-        logs = scaled * scale
+        logs, lasting_part = _shares(scaled * scale)
         noise = NoiseModel(*np.exp(logs).tolist())
         value, gradient = chain.minus_two_log_likelihood(nodes, _parameters(noise, speed_mps))
         belief = (logs - median) / _PRIOR_SD
-        white2, lasting2 = np.exp(2.0 * logs[2:]).reshape(2, 2)
-        total = 0.5 * np.log(white2 + lasting2) / _TOTAL_PRIOR_SD
+        total = scaled[2:4] * scale[2:4] / _TOTAL_PRIOR_SD
         value += float(belief @ belief + total @ total)
         gradient += 2.0 * belief / _PRIOR_SD
-        each = np.concatenate([white2, lasting2]) / np.tile(white2 + lasting2, 2)
-        gradient[2:] += 2.0 * np.tile(total, 2) / _TOTAL_PRIOR_SD * each
-        return 0.5 * value, 0.5 * gradient * scale
+        white, lasting = gradient[2:4].copy(), gradient[4:].copy()
+        gradient[2:4] = white + lasting + 2.0 * total / _TOTAL_PRIOR_SD
+        gradient[4:] = lasting - lasting_part * (white + lasting)
+        values.append(0.5 * value)
+        # What is gained since the start is the measure of when to stop.
+        return values[-1] - values[0], 0.5 * gradient * scale
 
+    begin = _logs(start)
+    ratio = begin[4:] - begin[2:4]
+    begin[2:4] += 0.5 * np.log1p(np.exp(2.0 * ratio))
+    begin[4:] = ratio
+    low, high = np.log(_BOUNDS).T
     found = minimize(
         objective,
-        np.clip(_logs(start), low, high) / scale,
+        np.clip(begin, low, high) / scale,
         jac=True,
         method="L-BFGS-B",
         bounds=Bounds(low / scale, high / scale),
-        options={"maxiter": 40, "ftol": 1e-4, "gtol": 0.1},
+        options={"maxiter": 40, "ftol": _ENOUGH, "gtol": 0.1},
     )
-    found.x *= scale
-    return NoiseModel(*np.exp(found.x).tolist())
+    return NoiseModel(*np.exp(_shares(found.x * scale)[0]).tolist())
+
+
+def _shares(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Logarithms in the order of `NoiseModel`, of those by which `_learned` looks for it.
+
+    Also the share (2,) of the lasting noise in the variance, along and across.
+    """
+    out = logs.copy()
+    lasting_part = 1.0 / (1.0 + np.exp(-2.0 * logs[4:]))
+    out[2:4] += 0.5 * np.log1p(-lasting_part)
+    out[4:] += out[2:4]
+    return out, lasting_part
