@@ -48,7 +48,7 @@ _AGILITY_GRID_S = 0.5
 _AGILITY_DRAWS = 0.5
 _AGILITY_LIMITS = (0.02, 20.0)
 _MOST_ROUNDS = 5
-_SETTLED = 0.02
+_SETTLED = 0.2
 """The track is done when it moves by less than this share of its standard deviation."""
 _STRETCH = 64
 _STRETCHES = 4
