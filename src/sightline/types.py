@@ -219,6 +219,8 @@ def check_boxes(xyxy_px: FloatArray) -> None:
         InputError: A coordinate is not finite, or a box has no width or height (its corners are
             reversed). The message names the first.
     """
+    if np.isfinite(xyxy_px).all() and (xyxy_px[:, :2] < xyxy_px[:, 2:]).all():
+        return
     finite = np.isfinite(xyxy_px).all(axis=1)
     if not finite.all():
         i = int(np.argmin(finite))

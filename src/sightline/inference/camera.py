@@ -13,8 +13,10 @@ The curvature of the earth is left out: over 2 km it is 0.3 m.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +43,9 @@ angles in radians.
 
 BY_BEYOND, BY_ROW, BY_ABOVE, BY_COLUMN = range(len(PARAMETERS), len(PARAMETERS) + 4)
 """Where `Located.derivatives` holds those that are not by a parameter of the camera."""
+
+Numbers = Any
+"""(N,) float64, or one number."""
 
 _NEAREST = 1e-6
 _NEWTON_STEPS = 8
@@ -208,10 +213,8 @@ class Camera:
         x = (x_px - 0.5 * width) / self.focal_px
         y = (y_px - 0.5 * height) / self.focal_px
         distorted = np.sqrt(x * x + y * y)
-        limit = self.largest_radius
-        finite = np.isfinite(limit)
-        top = limit * (1.0 + self.k1 * limit**2 + self.k2 * limit**4) if finite else np.inf
-        radius = np.minimum(distorted, limit) if finite else distorted
+        limit, top = self.largest_radius, self._largest_distorted
+        radius = np.minimum(distorted, limit)
         for _ in range(_NEWTON_STEPS):
             square = radius * radius
             bent = self.k2 * square
@@ -225,6 +228,56 @@ class Camera:
             scale = np.where(distorted > 0.0, radius / distorted, 1.0)
         scale[~(distorted < top)] = np.nan
         return x * scale, y * scale
+
+    def _undistorted_one(self, x_px: float, y_px: float) -> tuple[float, float]:
+        """As `_undistorted`, for one pixel."""
+        x = (x_px - 0.5 * self.image_size_px[0]) / self.focal_px
+        y = (y_px - 0.5 * self.image_size_px[1]) / self.focal_px
+        distorted = math.sqrt(x * x + y * y)
+        limit, top = self.largest_radius, self._largest_distorted
+        radius = min(distorted, limit)
+        for _ in range(_NEWTON_STEPS):
+            square = radius * radius
+            bent = self.k2 * square
+            value = radius * (1.0 + square * (self.k1 + bent)) - distorted
+            slope = 1.0 + square * (3.0 * self.k1 + 5.0 * bent)
+            step = value / max(slope, 0.05)
+            radius = min(max(radius - step, 0.0), limit)
+            if abs(step) < _NEWTON_ENOUGH:
+                break
+        scale = radius / distorted if distorted > 0.0 else 1.0
+        if not distorted < top:
+            scale = math.nan
+        return x * scale, y * scale
+
+    @cached_property
+    def _largest_distorted(self) -> float:
+        """The normalised radius in the image of `largest_radius`."""
+        limit = self.largest_radius
+        if not math.isfinite(limit):
+            return math.inf
+        return limit * (1.0 + self.k1 * limit**2 + self.k2 * limit**4)
+
+    @cached_property
+    def _rotation_rows(self) -> list[list[float]]:
+        rows: list[list[float]] = self.rotation.tolist()
+        return rows
+
+    @cached_property
+    def _turns(self) -> tuple[tuple[float, float], ...]:
+        """Sine and cosine of heading, pitch and roll."""
+        angles = map(math.radians, (self.heading_deg, self.pitch_deg, self.roll_deg))
+        return tuple((math.sin(angle), math.cos(angle)) for angle in angles)
+
+    def _down(self, x: Numbers, y: Numbers) -> Numbers:
+        """How far rays through normalised coordinates sink for each unit along the axis."""
+        (_, _, r02), (_, _, r12), (_, _, r22) = self._rotation_rows
+        return -(r02 * x + r12 * y + r22)
+
+    def _level(self, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+        """How far east and north such rays go."""
+        (r00, r01, _), (r10, r11, _), (r20, r21, _) = self._rotation_rows
+        return r00 * x + r10 * y + r20, r01 * x + r11 * y + r21
 
     def horizon_y_px(self, x_px: ArrayLike) -> FloatArray:
         """The row of the horizon at given columns, (N,) float64; NaN where it cannot be seen."""
@@ -392,19 +445,59 @@ def locate_with_jacobian(
         beyond_m: How much further from the camera the place lies than where the ray meets the
             plane.
     """
-    (r00, r01, r02), (r10, r11, r12), (r20, r21, r22) = camera.rotation.tolist()
+    x, y = camera._undistorted(x_px, y_px)
+    down = camera._down(x, y)
+    down[~(down > 0.0)] = np.nan
+    out = np.empty((len(PARAMETERS) + 4, 2, x.size))
+    return Located(*_derive(camera, x, y, down, above_m, beyond_m, np.sqrt, out), out)
+
+
+def locate_one(
+    camera: Camera, x_px: float, y_px: float, above_m: float, beyond_m: float
+) -> tuple[float, float, float, FloatArray] | None:
+    """As `locate_with_jacobian`, for one pixel: the fields of `Located`, or None: no place."""
+    try:
+        x, y = camera._undistorted_one(x_px, y_px)
+        down = camera._down(x, y)
+        if not down > 0.0:
+            return None
+        out = np.empty((len(PARAMETERS) + 4, 2))
+        return *_derive(camera, x, y, down, above_m, beyond_m, math.sqrt, out), out
+    except ZeroDivisionError:
+        return None
+
+
+def _derive(
+    camera: Camera,
+    x: Numbers,
+    y: Numbers,
+    down: Numbers,
+    above_m: float,
+    beyond_m: float,
+    sqrt: Callable[[Any], Any],
+    out: FloatArray,
+) -> tuple[Numbers, Numbers, Numbers]:
+    """Distance, sine and cosine of `Located`; its derivatives go into ``out``.
+
+    Args:
+        camera: The camera.
+        x: Normalised and undistorted, (N,) or one number.
+        y: The same.
+        down: By how much the ray sinks; positive.
+        above_m: As `locate_with_jacobian` has it.
+        beyond_m: As `locate_with_jacobian` has it.
+        sqrt: Square root of the kind of number.
+        out: (13, 2, N) or (13, 2).
+    """
+    (r00, r01, r02), (r10, r11, r12), _ = camera._rotation_rows
+    east, north = camera._level(x, y)
     k1, k2 = camera.k1, camera.k2
     height = camera.height_m - above_m
-    x, y = camera._undistorted(x_px, y_px)
-    down = -(r02 * x + r12 * y + r22)
-    down[~(down > 0.0)] = np.nan
-    east, north = r00 * x + r10 * y + r20, r01 * x + r11 * y + r21
-    level = np.sqrt(east * east + north * north)
+    level = sqrt(east * east + north * north)
     sine, cosine = east / level, north / level
     reach = height / down
     distance = reach * level
 
-    out = np.empty((len(PARAMETERS) + 4, 2, x.size))
     out[0, 0], out[0, 1] = distance * (camera.height_m / height), 0.0
     out[BY_ABOVE, 0], out[BY_ABOVE, 1] = distance * (-1.0 / height), 0.0
     out[BY_BEYOND, 0], out[BY_BEYOND, 1] = 1.0, 0.0
@@ -418,10 +511,7 @@ def locate_with_jacobian(
     y_across = aside * (r10 * cosine - r11 * sine)
 
     # Pitch turns every ray about the level line to the right of the camera.
-    (sin_h, cos_h), (sin_p, cos_p), (sin_r, cos_r) = (
-        (math.sin(angle), math.cos(angle))
-        for angle in map(math.radians, (camera.heading_deg, camera.pitch_deg, camera.roll_deg))
-    )
+    (sin_h, cos_h), (sin_p, cos_p), (sin_r, cos_r) = camera._turns
     raised = sin_r * x - cos_r * y
     ahead = cos_p * raised - sin_p
     out[1, 0] = reach * ahead * (sin_h * sine + cos_h * cosine) - further * (sin_p * raised + cos_p)
@@ -449,4 +539,4 @@ def locate_with_jacobian(
     np.multiply(out[5], square, out=out[6])
     out[7, 0], out[7, 1] = sine, cosine
     out[8, 0], out[8, 1] = cosine, -sine
-    return Located(total, sine, cosine, out)
+    return total, sine, cosine

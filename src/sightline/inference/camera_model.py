@@ -31,6 +31,7 @@ from sightline.inference.camera_fit import (
     fit_camera,
 )
 from sightline.inference.estimator import Arrays, Settings
+from sightline.inference.one_box import place_one
 from sightline.inference.residual import Hyperparameters, ResidualProcess
 from sightline.types import BoolArray, FloatArray, IntArray, check_boxes
 
@@ -184,6 +185,11 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             check_is_fitted(self, "fit_")
         boxes = np.asarray(X, dtype=np.float64)
         n = len(boxes)
+        if n == 1:
+            name = str(source or "") if np.ndim(source) == 0 else str(np.asarray(source)[0])
+            one = place_one(self, boxes[0], name, LARGEST_RELATIVE_SIGMA)
+            if one is not None:
+                return one if return_shared else one[:2] if return_cov else one[0]
         places, covariance = np.empty((n, 2)), np.empty((n, 2, 2))
         shared = np.empty((n if return_shared else 0, 2, 2))
         if source is None or np.ndim(source) == 0:

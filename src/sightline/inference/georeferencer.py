@@ -224,7 +224,8 @@ class Georeferencer:
         else:
             places, covariance = self.regressor.predict(boxes)
             shared = None
-        foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
+        foot = np.empty((len(boxes), 2))
+        foot[:, 0], foot[:, 1] = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]
         known = np.isfinite(places[:, 0])
         return Positions(
             east_m=places[:, 0],

@@ -13,6 +13,7 @@ has an offset of its own, and a new recording's unknown offset is part of the st
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
@@ -125,6 +126,23 @@ class ResidualProcess:
             explained[rows] = np.einsum("nm,nm->n", whitened, whitened)
         variance = np.maximum(h.amplitude**2 - explained, 0.0)
         return mean, variance + h.recording**2 + (h.noise * noise) ** 2
+
+    def predict_one(self, inputs: tuple[float, ...]) -> tuple[float, float]:
+        """As `predict`, for one point (D,), and without the noise."""
+        h = self.hyperparameters
+        exponent = np.array([*inputs, *[x * x for x in inputs], 1.0]) @ self._quadratic
+        kernel = np.exp(exponent)
+        whitened = kernel.astype(np.float32) @ self._whitening
+        variance = h.amplitude**2 - float(whitened @ whitened)
+        return float(kernel @ self._weights), max(variance, 0.0) + h.recording**2
+
+    @cached_property
+    def _quadratic(self) -> FloatArray:
+        """(2 D + 1, N) the kernel's exponent by a point's inputs, their squares, and 1."""
+        scales = np.array(self.hyperparameters.length_scales)
+        scaled = self._exponents[: len(scales)]
+        squares = np.repeat(-0.5 / scales[:, None] ** 2, scaled.shape[1], axis=1)
+        return np.concatenate([scaled / scales[:, None], squares, self._exponents[-1:]])
 
     def _most_probable(self) -> Hyperparameters:
         chosen = _thin(len(self.targets), _MOST_FOR_LEARNING)
