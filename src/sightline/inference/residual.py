@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from sightline.types import FloatArray, IntArray
@@ -27,6 +28,7 @@ MOST_POINTS = 2000
 _MOST_FOR_LEARNING = 300
 # So that a block of the kernel stays in the cache.
 _KERNEL_SIZE = 131072
+_BLOCK = 64
 # Share of the process's variance that predictions may miss of what the training points explain.
 _LOST = 1e-4
 
@@ -91,7 +93,8 @@ class ResidualProcess:
         rest = _rest(h, self.noise, _same(self.group))
         self._weights = cho_solve(cho_factor(smooth + rest, lower=True), self.targets)
         # The product with it is most of the work, and seven digits of a variance are plenty.
-        self._whitening = np.ascontiguousarray(_whitening(smooth, rest), dtype=np.float32)
+        whitening = _trapezoid(_whitening(smooth, rest))
+        self._whitening = np.ascontiguousarray(whitening, dtype=np.float32)
         # The kernel's exponent, for a point x: x·y - |x|²/2 - |y|²/2 + log amplitude².
         half = np.log(h.amplitude**2) - 0.5 * np.einsum("nd,nd->n", scaled, scaled)
         self._exponents = np.concatenate([scaled.T, np.ones((1, len(scaled))), half[None, :]])
@@ -122,10 +125,18 @@ class ResidualProcess:
             kernel = points[:, rows].T @ self._exponents
             np.exp(kernel, out=kernel)
             mean[rows] = kernel @ self._weights
-            whitened = kernel.astype(np.float32) @ self._whitening
-            explained[rows] = np.einsum("nm,nm->n", whitened, whitened)
+            explained[rows] = self._explained(kernel.astype(np.float32))
         variance = np.maximum(h.amplitude**2 - explained, 0.0)
         return mean, variance + h.recording**2 + (h.noise * noise) ** 2
+
+    def _explained(self, kernel: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(M,) how much of the variance the training points explain, of (M, N) of the kernel."""
+        out = np.zeros(len(kernel), dtype=np.float32)
+        for first in range(0, self._whitening.shape[1], _BLOCK):
+            # Above these rows the block is zero.
+            whitened = kernel[:, first:] @ self._whitening[first:, first : first + _BLOCK]
+            out += np.einsum("nm,nm->n", whitened, whitened)
+        return out
 
     def predict_one(self, inputs: tuple[float, ...]) -> tuple[float, float]:
         """As `predict`, for one point (D,), and without the noise."""
@@ -243,6 +254,11 @@ def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
     needed = np.cumsum(values / (1.0 + values)) > _LOST
     directions = basis @ (vectors[:, needed] / np.sqrt(1.0 + values[needed]))
     return np.asarray(solve_triangular(lower, directions, lower=True, trans="T"))
+
+
+def _trapezoid(whitening: FloatArray) -> FloatArray:
+    """(N, R) lower trapezoidal, with the same product with its own transpose."""
+    return np.asarray(np.linalg.qr(whitening.T, mode="r").T)
 
 
 def _thin(n: int, most: int) -> IntArray:
