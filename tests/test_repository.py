@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import distribution
 from pathlib import Path
@@ -116,3 +118,17 @@ def test_layers_of_the_import_contract_are_all_modules() -> None:
         if path.suffix == ".py" or (path / "__init__.py").exists()
     }
     assert set(contract["layers"]) == modules - {"sightline.__init__"}
+
+
+def test_the_package_is_quick_to_import() -> None:
+    """What takes seconds to load waits until it is used."""
+    heavy = ("sklearn", "torch", "onnxruntime", "matplotlib", "cv2", "av", "pandas", "scipy")
+    code = (
+        "import sys, sightline\n"
+        f"print(*[name for name in {heavy!r} if name in sys.modules])\n"
+        "assert all(hasattr(sightline, name) for name in sightline.__all__)\n"
+        "assert not hasattr(sightline, 'nothing')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []

@@ -223,3 +223,34 @@ def test_a_scene_with_nothing_to_learn_from_is_refused(small_scene: Scene, tmp_p
     with pytest.raises(FitError, match="no pairs of a box and a fix") as caught:
         sightline.fit(Scene.load(path), "camera")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("model", MODELS_OF_CAMERAS)
+@pytest.mark.parametrize("source", [None, "first", "nobody"])
+def test_one_box_lies_where_it_lies_among_many(fitted: Any, model: str, source: str | None) -> None:
+    """A single box goes a way of its own: the same place, above the horizon none as well."""
+    rng = np.random.default_rng(4)
+    corner = rng.uniform([-20.0, -20.0], [1290.0, 730.0], (300, 2))
+    boxes = np.column_stack([corner, corner + rng.uniform(2.0, 200.0, (300, 2))])
+    georeferencer = fitted(model)
+    together = georeferencer.locate(boxes, source=source)
+    assert 50 < together.known.sum() < 295
+    for i in range(len(boxes)):
+        one = georeferencer.locate(boxes[i : i + 1], source=source)
+        for name in ("east_m", "north_m", "extrapolated"):
+            np.testing.assert_allclose(
+                getattr(one, name), getattr(together, name)[i : i + 1], rtol=1e-9, atol=1e-9
+            )
+        size = np.trace(together.covariance_m2[i])
+        for name in ("covariance_m2", "shared_covariance_m2"):
+            # Of the residual's variance seven digits are kept.
+            tolerance = 1e-9 if model == "camera" else 1e-6
+            difference = getattr(one, name)[0] - getattr(together, name)[i]
+            np.testing.assert_allclose(
+                difference / size, np.where(size > 0.0, 0.0, np.nan), atol=tolerance
+            )
+    named = np.array(["second"])
+    np.testing.assert_allclose(
+        georeferencer.locate(boxes[:1], source=named).east_m,
+        georeferencer.locate(boxes[:2], source="second").east_m[:1],
+    )

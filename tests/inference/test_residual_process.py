@@ -49,6 +49,18 @@ def check_variance(stated: np.ndarray, exact: np.ndarray, amplitude: float) -> N
     assert excess.max() < LOST + ROUNDING
 
 
+def test_one_point_is_predicted_as_among_many() -> None:
+    inputs, targets, noise, group = data()
+    process = ResidualProcess(
+        inputs, targets, noise, group, length_scales=SCALES, hyperparameters=H
+    )
+    new = np.random.default_rng(6).uniform(-4.0, 4.0, (50, 2))
+    mean, variance = process.predict(new, np.zeros(50))
+    each = np.array([process.predict_one(tuple(point)) for point in new])
+    np.testing.assert_allclose(each[:, 0], mean, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(each[:, 1], variance, rtol=0.0, atol=ROUNDING * H.amplitude**2)
+
+
 def test_agrees_with_scikit_learn_where_no_two_points_share_a_recording() -> None:
     inputs, targets, noise, _ = data()
     group = np.arange(len(targets))

@@ -186,7 +186,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         boxes = np.asarray(X, dtype=np.float64)
         n = len(boxes)
         if n == 1:
-            name = str(source or "") if np.ndim(source) == 0 else str(np.asarray(source)[0])
+            name = "" if source is None else str(np.ravel(source)[0])
             one = place_one(self, boxes[0], name, LARGEST_RELATIVE_SIGMA)
             if one is not None:
                 return one if return_shared else one[:2] if return_cov else one[0]

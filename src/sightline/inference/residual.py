@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 
 from sightline.types import FloatArray, IntArray
@@ -258,7 +258,7 @@ def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
 
 def _trapezoid(whitening: FloatArray) -> FloatArray:
     """(N, R) lower trapezoidal, with the same product with its own transpose."""
-    return np.asarray(np.linalg.qr(whitening.T, mode="r").T)
+    return np.asarray(np.linalg.qr(whitening.T)[1].T)
 
 
 def _thin(n: int, most: int) -> IntArray:

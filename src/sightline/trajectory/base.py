@@ -72,9 +72,12 @@ class Measurements:
 
     def shared_at(self, time_utc_s: FloatArray) -> FloatArray:
         """(M, 2, 2) the covariance that a track shares with itself, between its positions."""
-        columns = self.shared_m2.reshape(-1, 4).T
-        between = [np.interp(time_utc_s, self.time_utc_s, column) for column in columns]
-        return np.stack(between, axis=1).reshape(-1, 2, 2)
+        out = np.zeros((2, 2, time_utc_s.size))
+        if self.shared_m2.any():
+            for i, j in ((0, 0), (0, 1), (1, 1)):
+                out[i, j] = np.interp(time_utc_s, self.time_utc_s, self.shared_m2[:, i, j])
+            out[1, 0] = out[0, 1]
+        return out.transpose(2, 0, 1)
 
 
 SMALLEST_SIGMA_M = 1e-4
@@ -141,13 +144,21 @@ def measurements(
 
 def _own(total_m2: FloatArray, shared_m2: FloatArray) -> FloatArray:
     """What is left of covariances without their shared part, never less than a share of them."""
-    lower = np.linalg.cholesky(total_m2)
-    half = np.linalg.solve(lower, shared_m2)
-    relative = np.linalg.solve(lower, np.swapaxes(half, 1, 2))
-    values, vectors = np.linalg.eigh(0.5 * (relative + np.swapaxes(relative, 1, 2)))
-    axes = lower @ vectors
-    kept = np.maximum(1.0 - values, _LEAST_OWN_SHARE)
-    return np.asarray((axes * kept[:, None, :]) @ np.swapaxes(axes, 1, 2))
+    own = total_m2 - shared_m2
+    # The shared part may have no eigenvalue, in units of the whole, above what it may take: by
+    # the determinant of what that would leave, and by its trace.
+    rest = (1.0 - _LEAST_OWN_SHARE) * total_m2 - shared_m2
+    a, b, c = rest[:, 0, 0], rest[:, 0, 1], rest[:, 1, 1]
+    clipped = np.flatnonzero((a * c < b * b) | (a + c < 0.0))
+    if clipped.size:
+        lower = np.linalg.cholesky(total_m2[clipped])
+        half = np.linalg.solve(lower, shared_m2[clipped])
+        relative = np.linalg.solve(lower, np.swapaxes(half, 1, 2))
+        values, vectors = np.linalg.eigh(0.5 * (relative + np.swapaxes(relative, 1, 2)))
+        axes = lower @ vectors
+        kept = np.maximum(1.0 - values, _LEAST_OWN_SHARE)
+        own[clipped] = (axes * kept[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    return np.asarray(own)
 
 
 def _positive_definite(covariance_m2: FloatArray) -> FloatArray:

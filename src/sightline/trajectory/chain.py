@@ -494,7 +494,10 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
         2.0 * (n - (along2 - lean * product).sum()),
         2.0 * (n - (across2 + lean * product).sum()),
         -2.0 * parameters.lasting[0] / parameters.white[0] * (size @ (along_o1 - lean * across_o1)),
-        -2.0 * parameters.lasting[1] / parameters.white[1] * (size @ (lean * across_o1 + across_o2)),
+        -2.0
+        * parameters.lasting[1]
+        / parameters.white[1]
+        * (size @ (lean * across_o1 + across_o2)),
     ]
     return value, np.array(gradient)
 

@@ -142,8 +142,9 @@ class NoiseAtRange:
         east, north = reference_m.T
         if self.powers is None:
             _, sine, cosine = _sight(east, north)
+            measured = _along_across(self.en_m[0], self.en_m[1], sine, cosine)
             return Linearised(
-                measured_m=np.stack(_along_across(*self.en_m, sine, cosine)),
+                measured_m=np.stack(measured),
                 sine=sine,
                 cosine=cosine,
                 covariance_m2=_turned(self.stated_m2, sine, cosine),
@@ -275,7 +276,8 @@ class Linearised:
 
     def residual(self, en_m: FloatArray) -> FloatArray:
         """(2, N) measured less where the target is taken to be (N, 2), along and across."""
-        return self.measured_m - _along_across(*en_m.T, self.sine, self.cosine)
+        expected = _along_across(en_m[:, 0], en_m[:, 1], self.sine, self.cosine)
+        return self.measured_m - np.stack(expected)
 
     def start_gate(self, gate: float) -> BoolArray:
         """Which measurements lie near the path, by the scatter of all of them about it.

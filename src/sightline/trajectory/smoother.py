@@ -94,7 +94,7 @@ _PRIOR_MEDIAN = NoiseModel(0.1, 0.8, 0.8, 0.8, 0.03, 0.03)
 _PRIOR_SD = np.array([2.0, 0.15, 1.0, 1.0, 2.0, 2.0])
 _BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
 _TOTAL_PRIOR_SD = 0.4
-# Of the acceleration, the time constant, all noise along and across, and the lasting over the white.
+# Of the acceleration, the time constant, all noise along and across, the lasting over the white.
 _BOUNDS = [(1e-4, 30.0), (0.1, 5.0), (0.03, 20.0), (0.03, 20.0), (1e-3, 100.0), (1e-3, 100.0)]
 _ENOUGH = 3e-3
 _CURVATURE = np.array([0.3, 0.3, 2.0, 1.0, 0.03, 0.03])
