@@ -410,11 +410,13 @@ def _solve(system: _System) -> _Solution:
     for d in range(BAND):
         reversed_flat[: size - d, d] = flat[: size - d, d][::-1]
     backward = _factor(reversed_flat)
-    lower, lower_back = (
+    columns, columns_back = (
         np.ascontiguousarray(factor.reshape(-1, STATE, BAND).transpose(1, 2, 0))
         for factor in (forward, backward)
     )
-    precision = _gram(lower) + _gram(lower_back)[::-1, ::-1, ::-1]
+    lower, lower_back = _lower_blocks(columns), _lower_blocks(columns_back)
+    precision = np.einsum("ikn,jkn->ijn", lower, lower)
+    precision += np.einsum("ikn,jkn->ijn", lower_back, lower_back)[::-1, ::-1, ::-1]
     for j in range(STATE):
         own = system.band[j, : STATE - j]
         precision[j:, j] -= own
@@ -424,7 +426,7 @@ def _solve(system: _System) -> _Solution:
     return _Solution(
         mean=np.ascontiguousarray(solution.reshape(-1, STATE).T),
         covariance=covariance,
-        cross=_cross(lower, covariance),
+        cross=_cross(lower, columns, covariance),
         log_determinant=2.0 * float(np.log(forward[:, 0]).sum()),
     )
 
@@ -502,12 +504,11 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
     return value, np.array(gradient)
 
 
-def _gram(lower: FloatArray) -> FloatArray:
-    """(6, 6, N) products L Lᵀ of the diagonal blocks of a factor (6, 9, N)."""
-    out = np.zeros((STATE, STATE, lower.shape[2]))
+def _lower_blocks(columns: FloatArray) -> FloatArray:
+    """(6, 6, N) diagonal blocks of a factor, of its columns (6, 9, N)."""
+    out = np.zeros((STATE, STATE, columns.shape[2]))
     for j in range(STATE):
-        column = lower[j, : STATE - j]
-        out[j:, j:] += column[:, None] * column
+        out[j:, j] = columns[j, : STATE - j]
     return out
 
 
@@ -524,24 +525,23 @@ def _inverse(matrices: FloatArray) -> FloatArray:
     return matrices
 
 
-def _cross(lower: FloatArray, covariance: FloatArray) -> FloatArray:
+def _cross(lower: FloatArray, columns: FloatArray, covariance: FloatArray) -> FloatArray:
     """(6, 6, N - 1) covariance of each node with the next.
 
     A node given the next has the mean ``-L⁻ᵀ Bᵀ x``, where L is its block of the factor, and B
     the one below it.
 
     Args:
-        lower: (6, 9, N) columns of the factor.
+        lower: (6, 6, N) diagonal blocks of the factor.
+        columns: (6, 9, N) its columns.
         covariance: (6, 6, N) of the nodes.
     """
-    own, after = lower[:, :, :-1], covariance[:, :, 1:]
-    # Row j of -Bᵀ times the covariance: B has entries down to two below its diagonal.
-    out = np.zeros((STATE, STATE, own.shape[2]))
+    minus_below = np.zeros((STATE, STATE, columns.shape[2] - 1))
     for j in range(STATE):
-        for i in range(min(STATE, j + BAND - STATE)):
-            out[j] -= own[j, STATE + i - j] * after[i]
+        reached = min(STATE, j + BAND - STATE)
+        minus_below[j, :reached] = -columns[j, STATE - j : STATE - j + reached, :-1]
+    out = np.einsum("jin,ikn->jkn", minus_below, covariance[:, :, 1:])
     for j in reversed(range(STATE)):
-        for i in range(j + 1, STATE):
-            out[j] -= own[j, i - j] * out[i]
-        out[j] /= own[j, 0]
-    return out
+        out[j] /= lower[j, j, :-1]
+        out[:j] -= lower[j, :j, None, :-1] * out[j]
+    return np.asarray(out)
