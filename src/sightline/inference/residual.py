@@ -238,10 +238,12 @@ def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
 
     A smooth kernel has fewer directions than points. It is whitened by what is not smooth,
     ``W = L⁻¹ smooth L⁻ᵀ``, and taken apart into eigenvectors (of a pivoted Cholesky
-    decomposition, which has fewer columns than W). The kernel's vector of any point has a square
-    of at most λ times the process's variance along an eigenvector, which explains λ / (1 + λ) of
-    it; so the eigenvectors for which these add up to a tolerance can be left out, wherever the
-    point lies. What is left out makes the stated variance larger, never smaller.
+    decomposition, which has fewer columns than W). In units of the process's variance, the
+    squares of the kernel's vector of a point along the eigenvectors, each divided by its λ, add up
+    to at most 1, wherever the point lies: noiseless training points would explain no more than all
+    of the variance. Of each of these shares λ / (1 + λ) is explained. So leaving out all
+    eigenvectors for which that is at most a tolerance loses no more than the tolerance in all. What
+    is left out makes the stated variance larger, never smaller.
     """
     lower = cholesky(rest, lower=True)
     half = solve_triangular(lower, smooth, lower=True)
@@ -251,7 +253,7 @@ def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
     columns[pivots - 1] = np.tril(factor)[:, :rank]
     basis, upper = np.linalg.qr(columns)
     values, vectors = np.linalg.eigh(upper @ upper.T)
-    needed = np.cumsum(values / (1.0 + values)) > _LOST
+    needed = values > _LOST * (1.0 + values)
     directions = basis @ (vectors[:, needed] / np.sqrt(1.0 + values[needed]))
     return np.asarray(solve_triangular(lower, directions, lower=True, trans="T"))
 
