@@ -15,6 +15,8 @@ from sightline import __version__
 from sightline.cli import common
 from sightline.cli.compare import compare
 from sightline.cli.demo import demo
+from sightline.cli.detect import detect
+from sightline.cli.detector import detector
 from sightline.cli.evaluate import evaluate
 from sightline.cli.fit import fit
 from sightline.cli.run import run
@@ -35,8 +37,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, fit, compare, track, evaluate, simulate):
+for command in (demo, run, fit, compare, track, evaluate, detect, simulate):
     app.command()(command)
+app.add_typer(detector)
 
 
 def _print_version(wanted: bool) -> None:

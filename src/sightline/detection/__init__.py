@@ -5,7 +5,7 @@ from importlib.resources import as_file, files
 from sightline.detection.detector import Detector
 from sightline.detection.motion import MotionDetector, MotionSettings
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
-from sightline.detection.views import View, ViewSettings
+from sightline.detection.views import VIEWS, View, ViewSettings
 from sightline.errors import InputError, unknown_name
 
 DETECTORS = ("motion", "harbour")
@@ -16,6 +16,7 @@ DEFAULT_DETECTOR = "motion"
 __all__ = [
     "DEFAULT_DETECTOR",
     "DETECTORS",
+    "VIEWS",
     "Detector",
     "DetectorOptions",
     "MotionDetector",

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -73,7 +72,7 @@ class ViewSettings:
         whole_px: Longest side of a frame scaled for a network that takes any size.
     """
 
-    kind: Literal["strip", "tiles", "whole"] = "strip"
+    kind: str = "strip"
     frame_width_px: int = 1280
     above_px: float = 40.0
     below_px: float = 180.0

@@ -18,7 +18,7 @@ from sightline.errors import InputError
 from sightline.formats import _files, _track_table
 from sightline.formats.ais import read_ais, read_ais_vessel
 from sightline.formats.atomic import atomic_path
-from sightline.formats.boxes_csv import iter_boxes_csv, write_boxes_csv
+from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
 from sightline.formats.control_points import read_control_points
 from sightline.formats.fixes_csv import read_fixes_csv, write_fixes_csv
@@ -28,7 +28,7 @@ from sightline.formats.gpx import gpx_track_writer, read_gpx, read_gpx_table, wr
 from sightline.formats.headings import read_headings
 from sightline.formats.horizons_csv import read_horizons_csv
 from sightline.formats.kml import kml_track_writer
-from sightline.formats.mot import iter_mot, write_mot
+from sightline.formats.mot import iter_mot, mot_box_writer, write_mot
 from sightline.formats.nmea import read_nmea
 from sightline.formats.parquet import parquet_track_writer, read_parquet_table
 from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
@@ -36,8 +36,10 @@ from sightline.geodesy import LocalPlane
 from sightline.types import Boxes, Fixes, Track
 
 __all__ = [
+    "BoxWriter",
     "TrackWriter",
     "atomic_path",
+    "box_writer",
     "iter_boxes",
     "read_ais",
     "read_boxes",
@@ -69,6 +71,14 @@ class TrackWriter(Protocol):
         ...
 
 
+class BoxWriter(Protocol):
+    """What takes boxes for a file, some at a time."""
+
+    def add(self, boxes: Boxes) -> None:
+        """Write boxes."""
+        ...
+
+
 _WRITERS: dict[str, Callable[[Path], AbstractContextManager[TrackWriter]]] = {
     ".geojson": geojson_track_writer,
     ".gpx": gpx_track_writer,
@@ -86,6 +96,10 @@ _READERS: dict[str, Callable[[str | os.PathLike[str]], pd.DataFrame]] = {
 }
 _BOX_READERS = {".csv": iter_boxes_csv, ".txt": iter_mot}
 _BOX_WRITERS = {".csv": write_boxes_csv, ".txt": write_mot}
+_BOX_APPENDERS: dict[str, Callable[[Path], AbstractContextManager[BoxWriter]]] = {
+    ".csv": csv_box_writer,
+    ".txt": mot_box_writer,
+}
 _FIX_WRITERS = {".csv": write_fixes_csv, ".gpx": write_gpx}
 
 
@@ -188,6 +202,21 @@ def write_boxes(boxes: Boxes, path: str | os.PathLike[str]) -> None:
         InputError: The ending is unknown, or the file cannot be written.
     """
     _by_suffix(path, _BOX_WRITERS, "boxes")(boxes, path)
+
+
+@contextmanager
+def box_writer(path: str | os.PathLike[str]) -> Iterator[BoxWriter]:
+    """Write boxes as they are found, at constant memory; the file appears when the block ends well.
+
+    Args:
+        path: Ends in .csv or .txt (MOTChallenge).
+
+    Raises:
+        InputError: The ending is unknown, or the file cannot be written.
+    """
+    opened = _by_suffix(path, _BOX_APPENDERS, "boxes")
+    with atomic_path(path) as temporary, opened(temporary) as writer:
+        yield writer
 
 
 @contextmanager

@@ -5,6 +5,9 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pandas as pd
@@ -53,12 +56,13 @@ def iter_boxes_csv(
             raise InputError(
                 f"{path}: lacks the column frame (or time_utc); found {', '.join(rows.columns)}"
             )
-        yield _boxes(path, rows, source, skip_empty)
+        yield boxes_of_rows(path, rows, source, skip_empty)
 
 
-def _boxes(
-    path: str | os.PathLike[str], rows: pd.DataFrame, source: str, skip_empty: bool
+def boxes_of_rows(
+    path: str | os.PathLike[str], rows: pd.DataFrame, source: str = "", skip_empty: bool = False
 ) -> Boxes:
+    """Boxes of the rows of a table, whose index is the line; see `iter_boxes_csv`."""
     xyxy = np.column_stack([_files.numbers(path, rows[name]) for name in _CORNERS])
     kept = usable(path, rows.index, xyxy, skip_empty)
     rows, xyxy = rows[kept], xyxy[kept]
@@ -146,3 +150,39 @@ def write_boxes_csv(boxes: Boxes, path: str | os.PathLike[str]) -> None:
         columns["label"] = boxes.label
     with atomic_path(path) as temporary:
         pd.DataFrame(columns).to_csv(temporary, index=False)
+
+
+@contextmanager
+def csv_box_writer(path: Path) -> Iterator[CsvBoxWriter]:
+    """Write boxes as they are found."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        yield CsvBoxWriter(file)
+
+
+class CsvBoxWriter:
+    """Adds boxes to an open CSV file; see `csv_box_writer`.
+
+    All columns are written, since nobody knows yet what the boxes to come will tell; what is not
+    known is an empty cell.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        columns = ["frame", *_CORNERS, "confidence", "annotator", "label", "time_utc"]
+        pd.DataFrame(columns=columns).to_csv(file, index=False)
+
+    def add(self, boxes: Boxes) -> None:
+        """Write boxes, all of which have a frame."""
+        if not len(boxes):
+            return
+        if (boxes.frame == NO_FRAME).any():
+            raise InputError("boxes that are written as they are found need their frames")
+        timed = np.isfinite(boxes.time_utc_s)
+        stamps = pd.Series(index=range(len(boxes)), dtype=object)
+        stamps[timed] = _files.rfc3339(boxes.time_utc_s[timed])
+        rows = pd.DataFrame({"frame": boxes.frame})
+        # A hundredth of a pixel is finer than any detector.
+        rows[list(_CORNERS)] = boxes.xyxy_px.round(2)
+        rows["confidence"] = boxes.confidence.round(4)
+        rows["annotator"], rows["label"], rows["time_utc"] = boxes.source, boxes.label, stamps
+        rows.to_csv(self._file, index=False, header=False)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pandas as pd
@@ -97,11 +100,35 @@ def write_mot(boxes: Boxes, path: str | os.PathLike[str]) -> None:
     """
     if (boxes.frame == NO_FRAME).any():
         raise InputError(f"{path}: a MOTChallenge file needs the frame of every box")
+    with atomic_path(path) as temporary:
+        _rows(boxes).to_csv(temporary, index=False, header=False)
+
+
+def _rows(boxes: Boxes) -> pd.DataFrame:
     size = boxes.xyxy_px[:, 2:] - boxes.xyxy_px[:, :2]
     rows = pd.DataFrame({"frame": boxes.frame + 1, "id": boxes.track_id})
     rows[["left", "top"]] = boxes.xyxy_px[:, :2]
     rows[["width", "height"]] = size
     rows["conf"] = boxes.confidence
     rows[["x", "y", "z"]] = -1
-    with atomic_path(path) as temporary:
-        rows.to_csv(temporary, index=False, header=False)
+    return rows
+
+
+@contextmanager
+def mot_box_writer(path: Path) -> Iterator[MotBoxWriter]:
+    """Write boxes as they are found."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        yield MotBoxWriter(file)
+
+
+class MotBoxWriter:
+    """Adds boxes to an open MOTChallenge file; see `mot_box_writer`."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def add(self, boxes: Boxes) -> None:
+        """Write boxes, all of which have a frame."""
+        if (boxes.frame == NO_FRAME).any():
+            raise InputError("boxes that are written as they are found need their frames")
+        _rows(boxes).round(4).to_csv(self._file, index=False, header=False)

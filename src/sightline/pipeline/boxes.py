@@ -10,7 +10,7 @@ import numpy as np
 
 from sightline import formats, video
 from sightline.clock import Clock
-from sightline.detection import Detector, detector_by_name
+from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, detector_by_name
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
 from sightline.scene import check_inside
@@ -99,11 +99,20 @@ def _as_one_target(boxes: Boxes) -> Boxes:
     return boxes.with_columns(track_id=np.ones(len(boxes), dtype=np.int64))
 
 
-def make_detector(detector: Detector | str | None, model: Georeferencer | None) -> Detector:
+def make_detector(
+    detector: Detector | str | None,
+    model: Georeferencer | None,
+    options: DetectorOptions | None = None,
+) -> Detector:
     """A detector of a name that knows the model's horizon, or one's own as it is.
 
+    Args:
+        detector: As `detector_by_name` takes it, or one's own. Absent: the default.
+        model: That knows the camera; without one the horizon is not known.
+        options: How a detector in an ONNX file is run.
+
     Raises:
-        InputError: The name is not known.
+        InputError: The name is not known, or the options do not fit.
     """
     if detector is not None and not isinstance(detector, str):
         return detector
@@ -112,7 +121,7 @@ def make_detector(detector: Detector | str | None, model: Georeferencer | None) 
         rows = model.camera.horizon_y_px([0.0, model.image_size_px[0]])
         if np.isfinite(rows).all():
             horizon = (float(rows[0]), float(rows[1]))
-    return detector_by_name(detector or "motion", horizon_px=horizon)
+    return detector_by_name(detector or DEFAULT_DETECTOR, horizon_px=horizon, options=options)
 
 
 def frame_count(source: str | os.PathLike[str]) -> int | None:

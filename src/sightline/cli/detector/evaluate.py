@@ -1,0 +1,113 @@
+"""`sightline detector evaluate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import JsonOption, keep_apart, progress, say, write_result
+from sightline.cli.detect import (
+    ClassesOption,
+    DecoderOption,
+    DetectorOption,
+    ProviderOption,
+    ThresholdOption,
+    ViewsOption,
+    options_of,
+)
+from sightline.detection import DEFAULT_DETECTOR, OnnxDetector
+from sightline.evaluation.comparison import number, percent
+from sightline.evaluation.detection import (
+    DEFAULT_IOU,
+    DetectionReport,
+    JudgedFrame,
+    detect_labelled,
+    pooled,
+    scene_labels,
+    score_detections,
+)
+from sightline.inference.model_file import load_model
+from sightline.pipeline.boxes import make_detector
+from sightline.scene import Scene
+
+_LOWEST = 0.001
+"""Average precision is of boxes of any confidence; below this there is nothing but noise."""
+
+
+def evaluate(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file.")],
+    detector: DetectorOption = DEFAULT_DETECTOR,
+    recordings: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Only these recordings.")
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Boxes drawn by hand, RECORDING.csv, and empty.csv; absent: the scene's own.",
+        ),
+    ] = None,
+    iou: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Overlap from which a box counts as found.")
+    ] = DEFAULT_IOU,
+    false_boxes: Annotated[
+        float, typer.Option(min=0.0, help="How many false boxes a frame the recall may cost.")
+    ] = 1.0,
+    decoder: DecoderOption = None,
+    classes: ClassesOption = None,
+    threshold: ThresholdOption = None,
+    provider: ProviderOption = None,
+    views: ViewsOption = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="A fitted model, which knows where the horizon lies."),
+    ] = None,
+    json: JsonOption = None,
+) -> None:
+    """Measure a detector on the frames of a scene in which boxes were drawn."""
+    keep_apart([json], [scene, labels, model])
+    loaded = Scene.load(scene)
+    if recordings is not None:
+        loaded = loaded.select(name.strip() for name in recordings.split(",") if name.strip())
+    known = scene_labels(loaded, labels)
+    fitted = load_model(model) if model is not None else None
+    found = make_detector(
+        detector, fitted, options_of(decoder, classes, threshold, provider, views)
+    )
+    usual = threshold if threshold is not None else 0.0
+    if isinstance(found, OnnxDetector):
+        usual, found.threshold = found.threshold, min(found.threshold, _LOWEST)
+    with progress() as tell:
+        judged = detect_labelled(loaded, known, found, tell)
+
+    def report_of(frames: list[JudgedFrame]) -> DetectionReport:
+        return score_detections(
+            frames, least_iou=iou, threshold=usual, allowed_per_frame=false_boxes
+        )
+
+    whole = report_of(pooled(judged))
+    parts = {name: report_of(frames) for name, frames in judged.items()}
+    write_result(
+        json,
+        {
+            "detector": detector,
+            **whole.to_dict(),
+            "recordings": {name: part.to_dict() for name, part in parts.items()},
+        },
+    )
+    say(describe(whole, detector))
+    for name, part in parts.items():
+        say("  " + describe(part, name))
+
+
+def describe(report: DetectionReport, what: str) -> str:
+    """A report in a line."""
+    return (
+        f"{what}: {report.drawn} boxes in {report.frames} frames, mAP@0.5 "
+        f"{number(report.map_50)}, mAP.5:.95 {number(report.map_50_95)}; at IoU "
+        f"{report.iou:g} recall {percent(report.recall)}, precision {percent(report.precision)}, "
+        f"{number(report.false_per_frame)} false boxes a frame; recall "
+        f"{percent(report.recall_at_allowed)} at {report.allowed_per_frame:g} false boxes a frame"
+    )

@@ -1,0 +1,375 @@
+"""How well a detector finds what was drawn by hand.
+
+Average precision is COCO's own, by its reference implementation. Recall, precision and false
+boxes at one overlap are counted here: boxes are given to drawn ones in the order of confidence,
+each to the one that it overlaps most.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.detection import Detector, OnnxDetector
+from sightline.errors import InputError
+from sightline.formats.labels import Labels, read_label_folder
+from sightline.scene import Recording, Scene
+from sightline.tracking import iou
+from sightline.types import BoolArray, Boxes, FloatArray
+
+DEFAULT_IOU = 0.3
+"""A boat of 20 x 12 px is found where two boxes differ by a few pixels; 0.5 asks for more."""
+
+_MOST_BOXES = 100
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedFrame:
+    """What was drawn in a frame, and what was found there.
+
+    Attributes:
+        name: Of the frame, for messages.
+        truth_xyxy_px: (M, 4) drawn boxes.
+        ignored: (M,) bool: other boats, which it is neither right nor wrong to find.
+        found_xyxy_px: (N, 4) the detector's boxes.
+        confidence: (N,) their confidence.
+    """
+
+    name: str
+    truth_xyxy_px: FloatArray
+    ignored: BoolArray
+    found_xyxy_px: FloatArray
+    confidence: FloatArray
+
+
+@dataclass(frozen=True)
+class DetectionReport:
+    """How well a detector does; NaN where nothing can be said.
+
+    Attributes:
+        frames: How many were looked at.
+        drawn: Boxes drawn in them.
+        found: Boxes that the detector found in them, at any confidence.
+        map_50: Average precision at an intersection over union of 0.5.
+        map_50_95: Mean of average precisions at 0.5, 0.55, ... 0.95.
+        iou: The overlap from which a box counts as found in what follows.
+        threshold: Least confidence of a box that counts in recall, precision and false boxes.
+        recall: Share of the drawn boxes that were found.
+        precision: Share of the found boxes that were drawn.
+        false_per_frame: Found boxes that were not drawn, for each frame.
+        allowed_per_frame: So many false boxes a frame are allowed in the next two.
+        recall_at_allowed: Highest recall with no more false boxes than that.
+        threshold_at_allowed: Least confidence that it takes.
+        mean_iou: Of the boxes found, with those drawn.
+        mean_giou: The same, generalised (Rezatofighi et al. 2019): 1 less the loss.
+        foot_px: Median of how far the found boxes end below the drawn ones.
+    """
+
+    frames: int
+    drawn: int
+    found: int
+    map_50: float
+    map_50_95: float
+    iou: float
+    threshold: float
+    recall: float
+    precision: float
+    false_per_frame: float
+    allowed_per_frame: float
+    recall_at_allowed: float
+    threshold_at_allowed: float
+    mean_iou: float
+    mean_giou: float
+    foot_px: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """The report as JSON has it."""
+        return asdict(self)
+
+
+def giou(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(N,) generalised intersection over union of boxes, row by row; Rezatofighi et al. 2019.
+
+    Args:
+        first: (N, 4) px.
+        second: (N, 4) px.
+    """
+    low = np.maximum(first[:, :2], second[:, :2])
+    high = np.minimum(first[:, 2:], second[:, 2:])
+    shared = np.maximum(high - low, 0.0).prod(axis=1)
+    area = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
+    union = area[0] + area[1] - shared
+    hull = np.maximum(first[:, 2:], second[:, 2:]) - np.minimum(first[:, :2], second[:, :2])
+    around = hull.prod(axis=1)
+    return np.asarray(shared / union - (around - union) / around, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _Matches:
+    """All found boxes that count, most confident first.
+
+    Attributes:
+        confidence: (N,).
+        right: (N,) bool, given to a drawn box.
+        found_xyxy_px: (N, 4).
+        truth_xyxy_px: (N, 4) the drawn box that each was given to; NaN where none.
+    """
+
+    confidence: FloatArray
+    right: BoolArray
+    found_xyxy_px: FloatArray
+    truth_xyxy_px: FloatArray
+
+
+def _match(frame: JudgedFrame, least_iou: float) -> _Matches:
+    """Give found boxes to drawn ones; those given to what is ignored are left out."""
+    order = np.argsort(-frame.confidence, kind="stable")
+    overlap = iou(frame.found_xyxy_px[order], frame.truth_xyxy_px)
+    free = np.ones(len(frame.truth_xyxy_px), dtype=bool)
+    right, counts, given = [], [], []
+    for row in range(len(order)):
+        candidates = np.where(free & ~frame.ignored, overlap[row], -1.0)
+        best = int(np.argmax(candidates)) if candidates.size else -1
+        hit = best >= 0 and candidates[best] >= least_iou
+        if hit:
+            free[best] = False
+        beside = bool((overlap[row][frame.ignored] >= least_iou).any())
+        right.append(hit)
+        counts.append(hit or not beside)
+        given.append(best if hit else -1)
+    kept = np.array(counts, dtype=bool)
+    hits = np.array(right, dtype=bool)[kept]
+    rows = np.array(given, dtype=np.int64)[kept]
+    boxes = frame.found_xyxy_px[order][kept]
+    truth = np.full((len(rows), 4), np.nan)
+    truth[hits] = frame.truth_xyxy_px[rows[hits]]
+    return _Matches(frame.confidence[order][kept], hits, boxes, truth)
+
+
+def score_detections(
+    frames: Sequence[JudgedFrame],
+    *,
+    least_iou: float = DEFAULT_IOU,
+    threshold: float = 0.0,
+    allowed_per_frame: float = 1.0,
+) -> DetectionReport:
+    """How well boxes fit what was drawn.
+
+    Args:
+        frames: What was drawn and found; found boxes of any confidence, since average precision
+            is of all of them.
+        least_iou: The overlap from which a drawn box counts as found.
+        threshold: Least confidence of a box that counts in recall and precision.
+        allowed_per_frame: How many false boxes a frame are allowed in ``recall_at_allowed``.
+
+    Raises:
+        InputError: There is no frame, or an overlap that is none.
+    """
+    if not frames:
+        raise InputError("no frame has both a picture and labels, so nothing can be measured")
+    if not 0.0 < least_iou <= 1.0:
+        raise InputError(f"iou is {least_iou:g}; it must lie between 0 and 1")
+    each = [_match(frame, least_iou) for frame in frames]
+    confidence = np.concatenate([one.confidence for one in each])
+    order = np.argsort(-confidence, kind="stable")
+    confidence = confidence[order]
+    right = np.concatenate([one.right for one in each])[order]
+    found = np.concatenate([one.found_xyxy_px for one in each])[order]
+    truth = np.concatenate([one.truth_xyxy_px for one in each])[order]
+    drawn = int(sum((~frame.ignored).sum() for frame in frames))
+    kept = confidence >= threshold
+    hits = int((right & kept).sum())
+    wrong = int((~right & kept).sum())
+    recall_at, threshold_at = _at_allowed(confidence, right, drawn, allowed_per_frame * len(frames))
+    chosen = right & kept
+    overlap = _diagonal_iou(found[chosen], truth[chosen])
+    map_50, map_50_95 = _average_precision(frames) if drawn else (math.nan, math.nan)
+    return DetectionReport(
+        frames=len(frames),
+        drawn=drawn,
+        found=int(sum(len(frame.found_xyxy_px) for frame in frames)),
+        map_50=map_50,
+        map_50_95=map_50_95,
+        iou=least_iou,
+        threshold=threshold,
+        recall=hits / drawn if drawn else math.nan,
+        precision=hits / (hits + wrong) if hits + wrong else math.nan,
+        false_per_frame=wrong / len(frames),
+        allowed_per_frame=allowed_per_frame,
+        recall_at_allowed=recall_at,
+        threshold_at_allowed=threshold_at,
+        mean_iou=float(overlap.mean()) if overlap.size else math.nan,
+        mean_giou=float(giou(found[chosen], truth[chosen]).mean()) if overlap.size else math.nan,
+        foot_px=float(np.median((found - truth)[chosen, 3])) if overlap.size else math.nan,
+    )
+
+
+def _diagonal_iou(first: FloatArray, second: FloatArray) -> FloatArray:
+    pairs = [float(iou(a[None], b[None])[0, 0]) for a, b in zip(first, second, strict=True)]
+    return np.array(pairs, dtype=np.float64)
+
+
+def _at_allowed(
+    confidence: FloatArray, right: BoolArray, drawn: int, allowed: float
+) -> tuple[float, float]:
+    """Recall, and least confidence, with at most so many false boxes in all."""
+    if not drawn:
+        return math.nan, math.nan
+    wrong = np.cumsum(~right)
+    # Boxes of the same confidence come and go together.
+    last = np.r_[confidence[1:] != confidence[:-1], True] if confidence.size else np.empty(0, bool)
+    possible = np.flatnonzero((wrong <= allowed) & last)
+    if not possible.size:
+        return 0.0, math.nan
+    best = possible[-1]
+    return float(right[: best + 1].sum() / drawn), float(confidence[best])
+
+
+def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
+    """Average precision at 0.5, and the mean from 0.5 to 0.95, by COCO's implementation."""
+    # Heavy, and needed by nothing else.
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
+    drawn: list[dict[str, Any]] = []
+    found: list[dict[str, Any]] = []
+    for image, frame in enumerate(frames, start=1):
+        for box, ignored in zip(frame.truth_xyxy_px, frame.ignored, strict=True):
+            x, y, width, height = _xywh(box)
+            drawn.append(
+                {
+                    "id": len(drawn) + 1,
+                    "image_id": image,
+                    "category_id": 1,
+                    "bbox": [x, y, width, height],
+                    "area": width * height,
+                    "iscrowd": int(ignored),
+                }
+            )
+        for box, confidence in zip(frame.found_xyxy_px, frame.confidence, strict=True):
+            found.append(
+                {
+                    "image_id": image,
+                    "category_id": 1,
+                    "bbox": list(_xywh(box)),
+                    "score": float(confidence),
+                }
+            )
+    if not found:
+        return 0.0, 0.0
+    # It tells of its progress on standard output.
+    with contextlib.redirect_stdout(io.StringIO()):
+        truth = COCO()
+        truth.dataset = {
+            "info": {},
+            "images": [{"id": image} for image in range(1, len(frames) + 1)],
+            "annotations": drawn,
+            "categories": [{"id": 1, "name": "target"}],
+        }
+        truth.createIndex()
+        evaluation = COCOeval(truth, truth.loadRes(found), "bbox")
+        evaluation.params.maxDets = [_MOST_BOXES]
+        evaluation.evaluate()
+        evaluation.accumulate()
+    # (overlaps, recalls, categories, areas, most boxes); of all areas.
+    precision = evaluation.eval["precision"][:, :, 0, 0, -1]
+    return float(precision[0].mean()), float(precision.mean())
+
+
+def _xywh(box: FloatArray) -> tuple[float, float, float, float]:
+    x1, y1, x2, y2 = (float(v) for v in box)
+    return x1, y1, x2 - x1, y2 - y1
+
+
+def scene_labels(scene: Scene, labels: str | Path | None = None) -> dict[str, Labels]:
+    """What is known of the frames of each recording that has pictures.
+
+    Args:
+        scene: The scene.
+        labels: A folder of tables; see `sightline.formats.labels`. Absent: the scene's own boxes,
+            all of the target; where several people drew it in a frame, the mean of theirs.
+
+    Raises:
+        InputError: No recording has both pictures and labels.
+    """
+    out: dict[str, Labels] = {}
+    for recording in scene.recordings:
+        if recording.source is None:
+            continue
+        known = read_label_folder(labels, recording.name) if labels else _own_labels(recording)
+        if known is not None:
+            out[recording.name] = known
+    if not out:
+        what = f"labels in {labels}" if labels else "boxes"
+        raise InputError(
+            f"{scene.path}: no recording has both pictures and {what}, so no detector can be "
+            "measured"
+        )
+    return out
+
+
+def _own_labels(recording: Recording) -> Labels | None:
+    if recording.boxes_path is None:
+        return None
+    boxes = recording.boxes()
+    frames = np.unique(boxes.frame)
+    mean = [boxes.xyxy_px[boxes.frame == frame].mean(axis=0) for frame in frames]
+    of_target = Boxes.of(np.array(mean).reshape(-1, 4), frame=frames)
+    return Labels(of_target, np.ones(len(frames), dtype=bool), np.empty(0, dtype=np.int64))
+
+
+def detect_labelled(
+    scene: Scene,
+    known: Mapping[str, Labels],
+    detector: Detector,
+    progress: Callable[[str, float], None] | None = None,
+) -> dict[str, list[JudgedFrame]]:
+    """What a detector finds in the frames of which something is known.
+
+    Args:
+        scene: The scene.
+        known: By recording; see `scene_labels`.
+        detector: It is shown all frames where it learns from those before.
+        progress: Told how far it is.
+
+    Returns:
+        By recording, the frames that have a picture.
+    """
+    out: dict[str, list[JudgedFrame]] = {}
+    for number, (name, labels) in enumerate(known.items()):
+        if progress:
+            progress(f"recording {name}", number / len(known))
+        detector.reset()
+        wanted = set(labels.frames.tolist())
+        judged = []
+        for frame in scene[name].frames():
+            if frame.index in wanted or not isinstance(detector, OnnxDetector):
+                boxes = detector.detect(frame)
+                if frame.index in wanted:
+                    judged.append(_judged(name, frame.index, labels, boxes))
+        if judged:
+            out[name] = judged
+    return out
+
+
+def _judged(recording: str, index: int, labels: Labels, boxes: Boxes) -> JudgedFrame:
+    own = labels.boxes.frame == index
+    return JudgedFrame(
+        name=f"{recording}/{index}",
+        truth_xyxy_px=labels.boxes.xyxy_px[own],
+        ignored=~labels.target[own],
+        found_xyxy_px=boxes.xyxy_px,
+        confidence=boxes.confidence,
+    )
+
+
+def pooled(judged: Mapping[str, Iterable[JudgedFrame]]) -> list[JudgedFrame]:
+    """The frames of all recordings."""
+    return [frame for frames in judged.values() for frame in frames]

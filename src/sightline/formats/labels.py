@@ -1,0 +1,103 @@
+"""Boxes that somebody drew to teach or to measure a detector, and frames known to hold none."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sightline.errors import InputError
+from sightline.formats import _files
+from sightline.formats.boxes_csv import boxes_of_rows
+from sightline.types import BoolArray, Boxes, IntArray
+
+EMPTY_TABLE = "empty.csv"
+"""In a folder of labels: ``recording,frame``, the frames that are known to hold none."""
+
+_CORNERS = ["x1", "y1", "x2", "y2"]
+_OPTIONAL = ("annotator", "label", "target", "confidence", "time_utc", "track_id")
+
+
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What is known of the frames of a recording.
+
+    Attributes:
+        boxes: Drawn by hand, with their frames.
+        target: (N,) bool, whether a box is of what is looked for, or of another boat.
+        empty_frames: (K,) int64, in order; frames known to hold nothing that is looked for.
+    """
+
+    boxes: Boxes
+    target: BoolArray
+    empty_frames: IntArray
+
+    @property
+    def frames(self) -> IntArray:
+        """(M,) int64, in order: all frames of which something is known."""
+        return np.unique(np.concatenate([self.boxes.frame, self.empty_frames]))
+
+
+def read_labels(path: str | os.PathLike[str]) -> Labels:
+    """A table of labels: ``frame,x1,y1,x2,y2`` and optionally ``annotator,label,target``.
+
+    A row without corners says that its frame holds no box. ``target`` is 1 for what is looked for
+    (everywhere, where the column is absent) and 0 for other boats.
+
+    Args:
+        path: A CSV file.
+
+    Raises:
+        InputError: A row cannot be understood, or there is none.
+    """
+    (rows,) = _files.table(
+        path, required=("frame", *_CORNERS), optional=_OPTIONAL, text=("label", "annotator")
+    )
+    if not len(rows):
+        raise InputError(f"{path}: holds no box, and no frame without one")
+    empty = rows[_CORNERS].isna().all(axis=1)
+    drawn = rows[~empty]
+    frames = _files.whole_numbers(path, rows["frame"][empty])
+    target = np.ones(len(drawn), dtype=bool)
+    if "target" in drawn:
+        flag = _files.whole_numbers(path, drawn["target"].fillna(1))
+        _files.refuse(path, drawn.index, ~np.isin(flag, (0, 1)), flag, "is no target; give 1 or 0")
+        target = flag == 1
+    boxes = boxes_of_rows(path, drawn.drop(columns="target", errors="ignore"))
+    return Labels(boxes, target, np.unique(frames))
+
+
+def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels | None:
+    """The labels of a recording in a folder: ``RECORDING.csv``, and its rows of ``empty.csv``.
+
+    Returns:
+        None where the folder says nothing of the recording.
+
+    Raises:
+        InputError: There is no such folder, or a file cannot be used.
+    """
+    if not Path(folder).is_dir():
+        raise InputError(f"{folder}: there is no such folder of labels")
+    table = Path(folder) / f"{recording}.csv"
+    # Beside the tables, or beside the folder that they lie in.
+    several = [Path(folder) / EMPTY_TABLE, Path(folder).resolve().parent / EMPTY_TABLE]
+    empty = np.empty(0, dtype=np.int64)
+    for path in several:
+        if path.is_file():
+            empty = _empty_frames(path, recording)
+            break
+    if not table.is_file():
+        if not empty.size:
+            return None
+        nothing = Boxes.of(np.empty((0, 4)))
+        return Labels(nothing, np.empty(0, dtype=bool), empty)
+    labels = read_labels(table)
+    return Labels(labels.boxes, labels.target, np.union1d(labels.empty_frames, empty))
+
+
+def _empty_frames(path: Path, recording: str) -> IntArray:
+    (rows,) = _files.table(path, required=("recording", "frame"), text=("recording",))
+    own = rows[rows["recording"].str.strip() == recording]
+    return np.unique(_files.whole_numbers(path, own["frame"]))
