@@ -15,7 +15,7 @@ from sightline.detection.onnx import PROVIDERS
 from sightline.errors import InputError, unknown_name
 from sightline.inference.model_file import load_model
 from sightline.pipeline.boxes import detect as detected
-from sightline.pipeline.boxes import frame_count, is_table, make_detector
+from sightline.pipeline.boxes import frame_count, is_table, make_detector, same_size
 
 DetectorOption = Annotated[
     str,
@@ -119,6 +119,8 @@ def detect(
     found = make_detector(detector, fitted, options)
     times = formats.read_clock(clock) if clock is not None else None
     frames = video.frames(source, clock=times, start_utc_s=parse_time(start_utc))
+    if fitted is not None:
+        frames = same_size(frames, fitted, source)
     count, boxes_found = 0, 0
     with formats.box_writer(output) as writer, progress() as tell:
         for boxes in detected(frames, found, frame_count(source), tell):

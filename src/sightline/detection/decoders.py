@@ -119,7 +119,9 @@ class Decoder:
             arrays = tuple(array[row] if array.ndim else array for array in outputs.arrays)
             outputs = replace(outputs, arrays=arrays)
         try:
-            return self.decode(outputs)
+            # What overflows is no number, and no box is made of it.
+            with np.errstate(all="ignore"):
+                return self.decode(outputs)
         except (ValueError, IndexError, StopIteration, TypeError) as error:
             raise InputError(
                 f"the outputs are not those of the decoder {self.name!r}: {outputs.describe()}"

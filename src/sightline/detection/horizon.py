@@ -17,12 +17,18 @@ from numpy.typing import NDArray
 from sightline.types import FloatArray
 
 _WIDTH_PX = 640
-_BAND_PX = 16
-_PEAKS = 6
+_BAND_PX = 32
+_PEAKS = 4
 _STEEPEST = math.tan(math.radians(15.0))
 _NEAR_PX = 2.0
 """How far an edge may lie from the line, px of the scaled picture."""
-_FIRM = 0.8
+_STRONG = 0.4
+"""Weight of the edges that lines are drawn through."""
+_BOWS_PX = (0.0, -9.0, -6.0, -3.0, 3.0, 6.0, 9.0)
+"""How far below its chord the middle of the horizon may lie, px of the scaled picture."""
+_STRAIGHTER = 0.01
+"""A line counts less by this share for each pixel of bow."""
+_FIRM = 0.7
 """Lines this nearly as good as the best count too; the lowest of them is the waterline."""
 _LEAST = 0.45
 """Share of the bands that must have an edge on the line."""
@@ -52,8 +58,7 @@ def find_horizon(image_bgr: NDArray[np.uint8]) -> tuple[float, float] | None:
     line = _best_line(x, y, weight, bands, size[0])
     if line is None:
         return None
-    rows = np.array([line[0], line[0] + line[1] * size[0]]) * height / size[1]
-    return float(rows[0]), float(rows[1])
+    return line[0] * height / size[1], line[1] * height / size[1]
 
 
 def _edges(small: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray, FloatArray, int]:
@@ -95,43 +100,70 @@ def _edges(small: NDArray[np.uint8]) -> tuple[FloatArray, FloatArray, FloatArray
 def _best_line(
     x: FloatArray, y: FloatArray, weight: FloatArray, bands: int, width: int
 ) -> tuple[float, float] | None:
-    """Row at the left edge and slope of the line; all lines through two edges far apart vote."""
-    first, second = np.triu_indices(len(x), 1)
-    apart = x[second] - x[first]
-    far = np.abs(apart) > 0.3 * width
-    first, second, apart = first[far], second[far], apart[far]
-    slope = (y[second] - y[first]) / apart
-    flat = np.abs(slope) < _STEEPEST
-    first, slope = first[flat], slope[flat]
+    """Rows at the left and the right edge of the line that most edges vote for.
+
+    Each pair of strong edges far apart gives a line, straight or bowed by so much, since lenses
+    bend what does not pass through the middle of the image.
+    """
+    strong = np.flatnonzero(weight >= _STRONG)
+    i, j = np.triu_indices(len(strong), 1)
+    first, second = strong[i], strong[j]
+    far = np.abs(x[second] - x[first]) > 0.3 * width
+    first, second = first[far], second[far]
     if not first.size:
         return None
-    start = y[first] - slope * x[first]
-    # Those that agree to the pixel are one.
-    keys = np.unique(np.round(np.column_stack([start, start + slope * width])), axis=0)
-    columns = np.unique(x)
-    votes = np.zeros(len(keys))
-    for column in columns:
-        own = x == column
-        at = keys[:, 0] + (keys[:, 1] - keys[:, 0]) * column / width
-        near = np.abs(at[:, None] - y[own][None, :]) <= _NEAR_PX
-        votes += np.where(near, weight[own][None, :], 0.0).max(axis=1)
+    part = x / width
+    arc = 4.0 * part * (1.0 - part)
+    lines = []
+    for bow in _BOWS_PX:
+        chord = y - bow * arc
+        slope = (chord[second] - chord[first]) / (part[second] - part[first])
+        flat = np.abs(slope) < _STEEPEST * width
+        left = chord[first][flat] - slope[flat] * part[first][flat]
+        ends = np.column_stack([left, left + slope[flat], np.full(left.size, bow)])
+        # Those that agree to about a pixel are one.
+        lines.append(np.unique(np.round(ends / _NEAR_PX), axis=0) * _NEAR_PX)
+    ends = np.concatenate(lines)
+    if not ends.size:
+        return None
+    votes = _votes(ends, x, y, weight, part, arc) * (1.0 - _STRAIGHTER * np.abs(ends[:, 2]))
     if votes.max() < _LEAST * bands:
         return None
     good = np.flatnonzero(votes >= _FIRM * votes.max())
-    lowest = keys[good].mean(axis=1).max()
-    group = good[keys[good].mean(axis=1) >= lowest - 2.0 * _NEAR_PX]
-    chosen = keys[group[np.argmax(votes[group])]]
-    at = chosen[0] + (chosen[1] - chosen[0]) * x / width
+    middle = ends[good, :2].mean(axis=1) + ends[good, 2]
+    group = good[middle >= middle.max() - 2.0 * _NEAR_PX]
+    left, right, bow = ends[group[np.argmax(votes[group])]]
+    at = left + (right - left) * part + bow * arc
     own = np.abs(at - y) <= _NEAR_PX
     # Theil and Sen: the median of all slopes does not mind a fifth of them being wrong.
-    i, j = np.triu_indices(int(own.sum()), 1)
-    run = x[own][j] - x[own][i]
-    rise = y[own][j] - y[own][i]
-    usable = run != 0.0
+    chord, there = (y - bow * arc)[own], part[own]
+    i, j = np.triu_indices(chord.size, 1)
+    usable = there[i] != there[j]
     if not usable.any():
         return None
-    slope_px = float(np.median(rise[usable] / run[usable]))
-    return float(np.median(y[own] - slope_px * x[own])), slope_px
+    slopes = (chord[j] - chord[i])[usable] / (there[j] - there[i])[usable]
+    rise = float(np.median(slopes))
+    start = float(np.median(chord - rise * there))
+    return start, start + rise
+
+
+def _votes(
+    ends: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    weight: FloatArray,
+    part: FloatArray,
+    arc: FloatArray,
+) -> FloatArray:
+    """(L,) over all bands, the weight of the strongest edge that lies on each line."""
+    votes = np.zeros(len(ends))
+    for column in np.unique(x):
+        own = np.flatnonzero(x == column)
+        u, v = part[own[0]], arc[own[0]]
+        at = ends[:, 0] * (1.0 - u) + ends[:, 1] * u + ends[:, 2] * v
+        near = np.abs(at[:, None] - y[own][None, :]) <= _NEAR_PX
+        votes += np.where(near, weight[own][None, :], 0.0).max(axis=1)
+    return votes
 
 
 class HorizonFinder:

@@ -138,14 +138,12 @@ class SeldomError(InputError):
     """Pictures or boxes between which a target cannot be followed."""
 
 
-def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
-    """Pass pictures on, and refuse those that no target can be found and followed in.
+def same_size(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those of another size than those that the model learned from.
 
     Raises:
-        InputError: A picture has no time, or another size than those that the model learned from.
-        SeldomError: They come too seldom.
+        InputError: A picture has another size.
     """
-    first_s: list[float] = []
     for frame in frames:
         size_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
         if size_px != model.image_size_px:
@@ -154,6 +152,18 @@ def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> It
                 f"from {model.image_size_px[0]} x {model.image_size_px[1]} px; fit one to pictures "
                 "of this size"
             )
+        yield frame
+
+
+def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those that no target can be found and followed in.
+
+    Raises:
+        InputError: A picture has no time, or another size than those that the model learned from.
+        SeldomError: They come too seldom.
+    """
+    first_s: list[float] = []
+    for frame in same_size(frames, model, where):
         if not np.isfinite(frame.time_utc_s):
             raise InputError(
                 f"{where}: nothing tells the time of frame {frame.index}; give the start of the "

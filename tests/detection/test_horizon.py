@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.detection.horizon import HorizonFinder, find_horizon
+from sightline.inference.georeferencer import fit
+from sightline.scene import Scene
+from sightline.simulation import Harbour, Renderer
+
+
+def drawn(
+    left: float, right: float, *, size: tuple[int, int] = (640, 360), seed: int = 0
+) -> np.ndarray:
+    """Sky over water, both noisy, along a line."""
+    width, height = size
+    rng = np.random.default_rng(seed)
+    line = np.linspace(left, right, width)
+    water = np.arange(height)[:, None] >= line[None, :]
+    image = np.where(water[..., None], [110.0, 95.0, 70.0], [215.0, 205.0, 200.0])
+    image += rng.normal(0.0, 8.0, image.shape) * (1.0 + 2.0 * water[..., None])
+    return image.clip(0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [(150.0, 150.0), (120.0, 180.0), (200.0, 110.0), (20.0, 30.0), (330.0, 320.0)],
+)
+@pytest.mark.parametrize("size", [(640, 360), (320, 360)])
+def test_the_line_between_sky_and_water(left: float, right: float, size: tuple[int, int]) -> None:
+    right = left + (right - left) * size[0] / 640
+    found = find_horizon(drawn(left, right, size=size))
+    assert found is not None
+    np.testing.assert_allclose(found, (left, right), atol=1.5)
+
+
+def test_a_large_frame_is_looked_at_scaled_and_told_in_its_own_pixels() -> None:
+    found = find_horizon(np.repeat(np.repeat(drawn(150.0, 170.0), 3, axis=0), 3, axis=1))
+    assert found is not None
+    np.testing.assert_allclose(found, (450.0, 510.0), atol=4.5)
+
+
+def test_where_there_is_no_horizon_none_is_found() -> None:
+    rng = np.random.default_rng(0)
+    assert find_horizon(rng.integers(0, 255, (360, 640, 3), dtype=np.uint8)) is None
+    assert find_horizon(np.full((360, 640, 3), 90, np.uint8)) is None
+    assert find_horizon(np.zeros((4, 4, 3), np.uint8)) is None
+
+
+# A line is off by as much as a shore is high: its upper edge may be the stronger one. Strips begin
+# 40 px above the horizon and end 180 px below it.
+SHORE_PX = 25.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_synthetic_harbour(seed: int) -> None:
+    harbour = Harbour.random(seed, duration_s=20.0)
+    renderer = Renderer(harbour)
+    finder = HorizonFinder()
+    for time_s in (0.0, 8.0):
+        found = finder.look(renderer.image(harbour.start_utc_s + time_s))
+    truth = harbour.camera.horizon_px([0.0, harbour.camera.image_size_px[0]])
+    assert found is not None
+    np.testing.assert_allclose(found, truth, atol=SHORE_PX)
+
+
+def test_real_recordings_agree_with_the_camera_fitted_to_the_log(data_dir: Path) -> None:
+    scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
+    camera = fit(scene, "camera").camera
+    assert camera is not None
+    truth = camera.horizon_y_px([0.0, 1280.0])
+    for recording in scene.recordings:
+        finder = HorizonFinder()
+        for frame in islice(recording.frames(), 16):
+            found = finder.look(frame.image_bgr)
+        assert found is not None
+        np.testing.assert_allclose(found, truth, atol=SHORE_PX, err_msg=recording.name)
+
+
+def test_a_single_frame_that_deceives_does_not_count_for_long() -> None:
+    finder = HorizonFinder()
+    finder.look(drawn(300.0, 310.0))
+    for seed in range(1, 8):
+        found = finder.look(drawn(150.0, 152.0, seed=seed))
+    np.testing.assert_allclose(found, (150.0, 152.0), atol=2.0)
