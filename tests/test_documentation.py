@@ -133,6 +133,11 @@ def test_commands_are_understood(page: Path, line: list[str]) -> None:
     context = typer.Context(group, info_name="sightline")
     command = group.get_command(context, line[0])
     assert command is not None, f"{page.name} names the unknown command {line[0]}"
+    while hasattr(command, "list_commands"):
+        context = typer.Context(command, info_name=line[0], parent=context)
+        line = line[1:]
+        command = command.get_command(context, line[0])
+        assert command is not None, f"{page.name} names the unknown command {line[0]}"
     # Refuses unknown options, and required ones that are missing.
     command.make_context(line[0], line[1:], parent=context)
 

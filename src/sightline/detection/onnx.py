@@ -317,7 +317,7 @@ def _suppressed(
 ) -> IntArray:
     """Which boxes are the best of what they are of; each class and each view by itself."""
     xywh = np.concatenate([xyxy_px[:, :2], xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
-    group = np.unique(np.column_stack([view, label]), axis=0, return_inverse=True)[1].ravel()
+    group = view * (int(label.max(initial=0)) + 1) + label
     # It takes arrays, which its annotations do not say.
     suppress: Any = cv2.dnn.NMSBoxesBatched
     kept = suppress(xywh, score, group.astype(np.int32), 0.0, overlap)

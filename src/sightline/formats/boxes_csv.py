@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import logging
 import os
 from collections.abc import Iterator
@@ -167,22 +168,27 @@ class CsvBoxWriter:
     """
 
     def __init__(self, file: TextIO) -> None:
-        self._file = file
-        columns = ["frame", *_CORNERS, "confidence", "annotator", "label", "time_utc"]
-        pd.DataFrame(columns=columns).to_csv(file, index=False)
+        # A table of pandas for the few boxes of a frame takes longer than finding some of them.
+        self._writer = csv.writer(file, lineterminator="\n")
+        self._writer.writerow(["frame", *_CORNERS, "confidence", "annotator", "label", "time_utc"])
 
     def add(self, boxes: Boxes) -> None:
         """Write boxes, all of which have a frame."""
-        if not len(boxes):
-            return
         if (boxes.frame == NO_FRAME).any():
             raise InputError("boxes that are written as they are found need their frames")
+        stamps = np.full(len(boxes), "", dtype="U24")
         timed = np.isfinite(boxes.time_utc_s)
-        stamps = pd.Series(index=range(len(boxes)), dtype=object)
-        stamps[timed] = _files.rfc3339(boxes.time_utc_s[timed])
-        rows = pd.DataFrame({"frame": boxes.frame})
+        if timed.any():
+            stamps[timed] = _files.rfc3339(boxes.time_utc_s[timed])
         # A hundredth of a pixel is finer than any detector.
-        rows[list(_CORNERS)] = boxes.xyxy_px.round(2)
-        rows["confidence"] = boxes.confidence.round(4)
-        rows["annotator"], rows["label"], rows["time_utc"] = boxes.source, boxes.label, stamps
-        rows.to_csv(self._file, index=False, header=False)
+        self._writer.writerows(
+            zip(
+                boxes.frame.tolist(),
+                *boxes.xyxy_px.T.round(2).tolist(),
+                boxes.confidence.round(4).tolist(),
+                boxes.source.tolist(),
+                boxes.label.tolist(),
+                stamps.tolist(),
+                strict=True,
+            )
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -125,10 +126,18 @@ class MotBoxWriter:
     """Adds boxes to an open MOTChallenge file; see `mot_box_writer`."""
 
     def __init__(self, file: TextIO) -> None:
-        self._file = file
+        self._writer = csv.writer(file, lineterminator="\n")
 
     def add(self, boxes: Boxes) -> None:
         """Write boxes, all of which have a frame."""
         if (boxes.frame == NO_FRAME).any():
             raise InputError("boxes that are written as they are found need their frames")
-        _rows(boxes).round(4).to_csv(self._file, index=False, header=False)
+        left, top, right, bottom = boxes.xyxy_px.T
+        for row in zip(
+            (boxes.frame + 1).tolist(),
+            boxes.track_id.tolist(),
+            *np.stack([left, top, right - left, bottom - top]).round(2).tolist(),
+            boxes.confidence.round(4).tolist(),
+            strict=True,
+        ):
+            self._writer.writerow([*row, -1, -1, -1])
