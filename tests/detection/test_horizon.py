@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.detection.horizon import HorizonFinder, find_horizon
+from sightline.detection.horizon import HorizonFinder
 from sightline.inference.georeferencer import fit
 from sightline.scene import Scene
 from sightline.simulation import Harbour, Renderer
@@ -25,34 +25,17 @@ def drawn(
     return image.clip(0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize(
-    ("left", "right"),
-    [(150.0, 150.0), (120.0, 180.0), (200.0, 110.0), (20.0, 30.0), (330.0, 320.0)],
-)
-@pytest.mark.parametrize("size", [(640, 360), (320, 360)])
-def test_the_line_between_sky_and_water(left: float, right: float, size: tuple[int, int]) -> None:
-    right = left + (right - left) * size[0] / 640
-    found = find_horizon(drawn(left, right, size=size))
-    assert found is not None
-    np.testing.assert_allclose(found, (left, right), atol=1.5)
-
-
-def test_a_large_frame_is_looked_at_scaled_and_told_in_its_own_pixels() -> None:
-    found = find_horizon(np.repeat(np.repeat(drawn(150.0, 170.0), 3, axis=0), 3, axis=1))
-    assert found is not None
-    np.testing.assert_allclose(found, (450.0, 510.0), atol=4.5)
-
-
 def test_where_there_is_no_horizon_none_is_found() -> None:
     rng = np.random.default_rng(0)
-    assert find_horizon(rng.integers(0, 255, (360, 640, 3), dtype=np.uint8)) is None
-    assert find_horizon(np.full((360, 640, 3), 90, np.uint8)) is None
-    assert find_horizon(np.zeros((4, 4, 3), np.uint8)) is None
-
-
-# A line is off by as much as a shore is high: its upper edge may be the stronger one. Strips begin
-# 40 px above the horizon and end 180 px below it.
-SHORE_PX = 25.0
+    finder = HorizonFinder()
+    for _ in range(3):
+        assert finder.look(rng.integers(0, 255, (360, 640, 3), dtype=np.uint8)) is None
+    assert finder.look(np.full((360, 640, 3), 90, np.uint8)) is None
+    assert finder.look(np.zeros((4, 4, 3), np.uint8)) is None
+    # And as soon as there is one it is.
+    found = finder.look(drawn(150.0, 160.0))
+    assert found is not None
+    np.testing.assert_allclose(found, (150.0, 160.0), atol=2.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -64,20 +47,22 @@ def test_the_synthetic_harbour(seed: int) -> None:
         found = finder.look(renderer.image(harbour.start_utc_s + time_s))
     truth = harbour.camera.horizon_px([0.0, harbour.camera.image_size_px[0]])
     assert found is not None
-    np.testing.assert_allclose(found, truth, atol=SHORE_PX)
+    np.testing.assert_allclose(found, truth, atol=5.0)
 
 
 def test_real_recordings_agree_with_the_camera_fitted_to_the_log(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     camera = fit(scene, "camera").camera
     assert camera is not None
-    truth = camera.horizon_y_px([0.0, 1280.0])
+    truth = camera.horizon_y_px([320.0, 640.0, 960.0])
     for recording in scene.recordings:
         finder = HorizonFinder()
         for frame in islice(recording.frames(), 16):
             found = finder.look(frame.image_bgr)
         assert found is not None
-        np.testing.assert_allclose(found, truth, atol=SHORE_PX, err_msg=recording.name)
+        # The lens bends the horizon by 13 px; no line can be asked to be nearer than that.
+        line = np.interp([320.0, 640.0, 960.0], [0.0, 1280.0], found)
+        np.testing.assert_allclose(line, truth, atol=13.0, err_msg=recording.name)
 
 
 def test_a_single_frame_that_deceives_does_not_count_for_long() -> None:
