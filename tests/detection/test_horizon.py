@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sightline.detection.horizon import HorizonFinder
+from sightline.detection.views import ViewSettings
 from sightline.inference.georeferencer import fit
 from sightline.scene import Scene
 from sightline.simulation import Harbour, Renderer
@@ -54,15 +55,21 @@ def test_real_recordings_agree_with_the_camera_fitted_to_the_log(data_dir: Path)
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     camera = fit(scene, "camera").camera
     assert camera is not None
-    truth = camera.horizon_y_px([320.0, 640.0, 960.0])
+    columns = np.linspace(0.0, 1280.0, 41)
+    truth = camera.horizon_y_px(columns)
     for recording in scene.recordings:
         finder = HorizonFinder()
         for frame in islice(recording.frames(), 16):
             found = finder.look(frame.image_bgr)
         assert found is not None
-        # The lens bends the horizon by 13 px; no line can be asked to be nearer than that.
-        line = np.interp([320.0, 640.0, 960.0], [0.0, 1280.0], found)
-        np.testing.assert_allclose(line, truth, atol=13.0, err_msg=recording.name)
+        # It is there to say where to search: from so far above the line to so far below it. A near
+        # shore has its foot below the horizon, and the lens bends the horizon and not the line.
+        line = np.interp(columns, [0.0, 1280.0], found)
+        settings = ViewSettings()
+        assert (truth > line - settings.above_px).all(), recording.name
+        assert (truth < line + 0.5 * settings.below_px).all(), recording.name
+        # In the middle, where no shore is near, it is the horizon to the thickness of the shore.
+        assert abs(line[20] - truth[20]) < 12.0, recording.name
 
 
 def test_a_single_frame_that_deceives_does_not_count_for_long() -> None:
