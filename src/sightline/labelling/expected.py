@@ -89,7 +89,10 @@ def learn_size(scene: Scene, georeferencer: Georeferencer) -> TargetSize:
     pairs = scene_pairs(scene, georeferencer.plane)
     if len(pairs) < _FEWEST_BOXES:
         return usual
-    east, north = pairs.east_north_m[:, 0] - camera.east_m, pairs.east_north_m[:, 1] - camera.north_m
+    east, north = (
+        pairs.east_north_m[:, 0] - camera.east_m,
+        pairs.east_north_m[:, 1] - camera.north_m,
+    )
     metres_per_px = np.hypot(east, north) / camera.focal_px
     size = (pairs.boxes.xyxy_px[:, 2:] - pairs.boxes.xyxy_px[:, :2]) * metres_per_px[:, None]
     height = float(np.median(size[:, 1]))

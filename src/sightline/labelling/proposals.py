@@ -173,9 +173,7 @@ class _View:
     reason: str
 
 
-def _view(
-    frame: Frame, expected: Expected, background: Background, seen: Boxes | None
-) -> _View:
+def _view(frame: Frame, expected: Expected, background: Background, seen: Boxes | None) -> _View:
     height, width = frame.image_bgr.shape[:2]
     box = expected.xyxy_px[0]
     reason, belief, look = "", None, None

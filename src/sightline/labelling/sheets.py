@@ -55,7 +55,7 @@ def contact_sheets(proposals: Proposals, recording: Recording, folder: Path) -> 
         drawn = box if np.isfinite(box).all() else expected
         height, width = frame.image_bgr.shape[:2]
         if not np.isfinite(drawn).all() or not (
-            0.0 < drawn[2] and drawn[0] < width and 0.0 < drawn[3] and drawn[1] < height
+            drawn[2] > 0.0 and drawn[0] < width and drawn[3] > 0.0 and drawn[1] < height
         ):
             continue
         said = proposals.reason[i] or f"{proposals.confidence[i]:.2f}"
@@ -82,9 +82,7 @@ def _cell(
 ) -> Image:
     cell_width, cell_height = _CELL
     inner = cell_height - _CAPTION
-    scale = min(
-        _SHARE * cell_width / (drawn[2] - drawn[0]), 0.6 * inner / (drawn[3] - drawn[1])
-    )
+    scale = min(_SHARE * cell_width / (drawn[2] - drawn[0]), 0.6 * inner / (drawn[3] - drawn[1]))
     scale = float(np.clip(scale, 0.25, _LARGEST_SCALE))
     # Beyond the border of the picture there is black.
     middle = 0.5 * (drawn[:2] + drawn[2:])

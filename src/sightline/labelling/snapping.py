@@ -200,9 +200,7 @@ def snap(look: Look, belief: Belief) -> tuple[FloatArray, float] | None:
     return best + corner, strength
 
 
-def _rectangles(
-    belief: Belief, shape: tuple[int, ...], corner_px: tuple[int, int]
-) -> IntArray:
+def _rectangles(belief: Belief, shape: tuple[int, ...], corner_px: tuple[int, int]) -> IntArray:
     """(N, 4) rectangles within the gate, on a grid that is fine by their size."""
     size = belief.xyxy_px[2:] - belief.xyxy_px[:2]
     middle = 0.5 * (belief.xyxy_px[0] + belief.xyxy_px[2]) - corner_px[0]
@@ -212,7 +210,9 @@ def _rectangles(
         for height in np.unique(np.maximum(2, np.round(_RATIOS * size[1]).astype(int))):
             step = max(1, round(0.08 * width)), max(1, round(0.12 * height))
             reach = GATE * belief.place_sigma_px
-            x1 = np.arange(middle - reach[0] - 0.5 * width, middle + reach[0] - 0.5 * width, step[0])
+            x1 = np.arange(
+                middle - reach[0] - 0.5 * width, middle + reach[0] - 0.5 * width, step[0]
+            )
             y2 = np.arange(foot - reach[1], foot + reach[1] + 1, step[1])
             grid = np.stack(np.meshgrid(np.round(x1), np.round(y2)), axis=-1).reshape(-1, 2)
             left, bottom = grid.astype(np.int64).T

@@ -1,0 +1,120 @@
+"""`sightline detector label`."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from sightline.cli.common import JsonOption, folder_for_results, keep_apart, progress, say
+from sightline.cli.common import write_result as write_json_result
+from sightline.errors import InputError
+from sightline.formats import write_boxes
+from sightline.formats.atomic import atomic_path
+from sightline.inference.model_file import load_model
+from sightline.labelling import DEFAULT_LABEL, Proposals, contact_sheets, learn_size, propose
+from sightline.scene import Recording, Scene
+
+_DOUBTFUL = 0.3
+
+
+def label(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file.")],
+    model: Annotated[
+        Path,
+        typer.Option("--model", metavar="MODEL", help="A fitted model with a camera."),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="FOLDER", file_okay=True, help="Where the labels go."
+        ),
+    ],
+    recordings: Annotated[
+        str | None, typer.Option(metavar="NAME,...", help="Only these recordings.")
+    ] = None,
+    every_s: Annotated[
+        float, typer.Option(min=0.0, help="Least time between two frames that are labelled.")
+    ] = 1.0,
+    all_frames: Annotated[
+        bool, typer.Option("--all", help="Also frames in which boxes were drawn.")
+    ] = False,
+    name: Annotated[str, typer.Option("--label", help="The class of the boxes.")] = DEFAULT_LABEL,
+    json: JsonOption = None,
+) -> None:
+    """Propose boxes of the logged target, for a person to check and a detector to learn from."""
+    keep_apart([json], [scene, model])
+    loaded = Scene.load(scene)
+    if recordings is not None:
+        loaded = loaded.select(part.strip() for part in recordings.split(",") if part.strip())
+    fitted = load_model(model)
+    size = learn_size(loaded, fitted)
+    usable = [r for r in loaded.recordings if r.source is not None and r.fixes_path is not None]
+    if not usable:
+        raise InputError(
+            f"{scene}: no recording has both pictures and a log; give frames or video, and fixes"
+        )
+    made: list[Proposals] = []
+    pages: list[Path] = []
+    with folder_for_results(output) as folder, progress() as tell:
+        for i, recording in enumerate(usable):
+            tell(f"labelling {recording.name}", i / len(usable))
+            drawn = None if all_frames else _drawn(recording)
+            proposals = propose(recording, fitted, size, every_s=every_s, leave_out=drawn)
+            made.append(proposals)
+            if proposals.made.any():
+                write_boxes(proposals.boxes(name), folder / f"{recording.name}.csv")
+            pages += contact_sheets(proposals, recording, folder / "sheets")
+        _write_frames(made, folder / "frames.csv")
+    results = {one.recording: _summary(one) for one in made}
+    write_json_result(json, {"labels": str(output), "recordings": results})
+    for one in made:
+        reasons = ", ".join(f"{n} {why}" for why, n in _reasons(one).items())
+        say(
+            f"{one.recording}: {int(one.made.sum())} boxes in {len(one)} frames"
+            + (f"; none in others: {reasons}" if reasons else "")
+        )
+    total = sum(int(one.made.sum()) for one in made)
+    doubtful = sum(int((one.made & (one.confidence < _DOUBTFUL)).sum()) for one in made)
+    say(f"{total} boxes, {doubtful} of them doubtful (confidence below {_DOUBTFUL:g}): {output}")
+    if pages:
+        say(f"check them on {len(pages)} pages: {pages[0].parent}")
+
+
+def _drawn(recording: Recording) -> np.ndarray | None:
+    return None if recording.boxes_path is None else recording.boxes().frame
+
+
+def _reasons(proposals: Proposals) -> dict[str, int]:
+    names, counts = np.unique(proposals.reason[~proposals.made], return_counts=True)
+    return {str(why): int(n) for why, n in zip(names, counts, strict=True)}
+
+
+def _summary(proposals: Proposals) -> dict[str, object]:
+    return {
+        "frames": len(proposals),
+        "boxes": int(proposals.made.sum()),
+        "without": _reasons(proposals),
+    }
+
+
+def _write_frames(made: list[Proposals], path: Path) -> None:
+    """Every frame that was looked at, and why it has no box."""
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["recording", "frame", "confidence", "range_m", "reason"])
+        for one in made:
+            for i, frame in enumerate(one.frame.tolist()):
+                range_m = one.expected.range_m[i]
+                table.writerow(
+                    [
+                        one.recording,
+                        frame,
+                        f"{one.confidence[i]:.3f}",
+                        f"{range_m:.1f}" if np.isfinite(range_m) else "",
+                        one.reason[i],
+                    ]
+                )
