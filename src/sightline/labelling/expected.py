@@ -19,6 +19,11 @@ from sightline.types import BoolArray, FloatArray
 _UNDER_WAY_MPS = 0.5
 """Below this speed a log does not tell where the bow points to."""
 _FEWEST_BOXES = 5
+_RECEIVER_SIGMA_M = 1.5
+"""Of a good receiver either way. It lasts for minutes, so the scatter of boxes does not show it."""
+_TURN_MPS2 = 0.5
+"""How much a small boat speeds up or turns: in a gap of ``g`` seconds between two fixes it leaves
+the straight line between them by up to ``a g² / 8``."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +164,9 @@ def expect(place: Synchronised, georeferencer: Georeferencer, size: TargetSize) 
         "nij,jk,nik->ni", by_parameter, fit.covariance[:count, :count], by_parameter
     )
     # The receiver is off by as much either way, and the clock moves the target along its course.
-    variance += fit.noise.place_m**2 * np.sum(by_point[:, :, :2] ** 2, axis=2)
+    known_m = np.hypot(fit.noise.place_m, _RECEIVER_SIGMA_M)
+    off_m = np.hypot(known_m, _TURN_MPS2 * np.where(known, place.gap_s, 0.0) ** 2 / 8.0)
+    variance += off_m[:, None] ** 2 * np.sum(by_point[:, :, :2] ** 2, axis=2)
     moved = by_point[:, :, 0] * velocity_east[:, None] + by_point[:, :, 1] * velocity_north[:, None]
     variance += (fit.clock_sigma_s * moved) ** 2
     slant = np.hypot(range_m, camera.height_m)

@@ -23,10 +23,10 @@ _CORRELATED_PX2 = 60.0
 """Pixels of water, and of a boat, that count as one observation."""
 GATE = 3.5
 """Standard deviations within which a box must lie from what is expected."""
-_RATIOS = np.exp(np.linspace(-0.9, 0.9, 15))
-_PERSON = 0.05
+_RATIOS = np.exp(np.linspace(-0.9, 0.9, 10))
+_PERSON = 0.08
 """Rows above a hull belong to it where this share of its width stands out; aerials are thinner."""
-_FEWEST_PERSON_PX = 3
+_FEWEST_PERSON_PX = 4
 
 Image = NDArray[np.uint8]
 Picture = NDArray[np.float32]
@@ -208,7 +208,7 @@ def _rectangles(belief: Belief, shape: tuple[int, ...], corner_px: tuple[int, in
     found = []
     for width in np.unique(np.maximum(2, np.round(_RATIOS * size[0]).astype(int))):
         for height in np.unique(np.maximum(2, np.round(_RATIOS * size[1]).astype(int))):
-            step = max(1, round(0.08 * width)), max(1, round(0.12 * height))
+            step = max(1, round(0.12 * width)), max(1, round(0.2 * height))
             reach = GATE * belief.place_sigma_px
             x1 = np.arange(
                 middle - reach[0] - 0.5 * width, middle + reach[0] - 0.5 * width, step[0]
