@@ -10,25 +10,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
-from sightline.errors import InputError
-from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray
+from sightline.tracking.plane import Columns
+from sightline.tracking.targets import TargetTracker, TrackerSettings
+from sightline.types import Boxes, FloatArray, IntArray
 
-_IMPOSSIBLE = 1e6
+LARGEST_UNLIKE = 2.0 * float(np.log(3.0))
+"""A box of three times the width and height is of something else."""
 
 
 @dataclass(frozen=True)
-class ImageTrackerSettings:
+class ImageTrackerSettings(TrackerSettings):
     """How an `ImageTracker` follows targets.
 
     Lengths are shares of the size of a target's box, the root of its area, so they hold near and
     far.
 
     Attributes:
-        confirm_s: A target counts once it has been followed for this long.
-        coast_s: A confirmed target is kept for this long without a box: behind a post, say.
-        coast_unconfirmed_s: The same for one that is not confirmed, once it was missed.
         gate: Largest distance between a predicted and a found centre, in standard deviations.
         least_overlap: A box that overlaps the predicted one by less (intersection over union) is
             taken only inside the gate.
@@ -38,9 +36,6 @@ class ImageTrackerSettings:
         growth: Standard deviation of the change of those logarithms in a second.
     """
 
-    confirm_s: float = 0.4
-    coast_s: float = 3.0
-    coast_unconfirmed_s: float = 0.3
     gate: float = 4.0
     least_overlap: float = 0.2
     position_noise: float = 0.10
@@ -48,69 +43,157 @@ class ImageTrackerSettings:
     acceleration: float = 0.35
     growth: float = 0.25
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0.0:
-                raise InputError(f"image tracker: {name} is {value:g}; it must not be negative")
+
+@dataclass(frozen=True, eq=False)
+class Nearness:
+    """How far boxes lie from where targets are expected, one row a pair.
+
+    Attributes:
+        target: (P,) int64, row of the target.
+        box: (P,) int64, row of the box.
+        distance: (P,) float64, between the centres, in standard deviations.
+        overlap: (P,) float64, intersection over union.
+        unlike: (P,) float64, sum of the differences of the logarithms of width and height.
+    """
+
+    target: IntArray
+    box: IntArray
+    distance: FloatArray
+    overlap: FloatArray
+    unlike: FloatArray
 
 
-class _Target:
-    """State of one target: centre and velocity, px and px/s, and log width and log height."""
+class ImagePlane:
+    """The image as a measurement model; see `Plane`.
 
-    def __init__(self, box: FloatArray, time_s: float, settings: ImageTrackerSettings) -> None:
+    A state has the columns ``centre`` (N, 2) px, ``velocity`` (N, 2) px/s, ``motion`` (N, 2, 2)
+    the covariance of position and velocity along one axis (east and west are alike: one serves
+    both), ``log_size`` (N, 2) logarithms of width and height, and ``shape_variance`` (N,).
+    """
+
+    def __init__(self, settings: ImageTrackerSettings) -> None:
+        """Take the settings."""
         self._settings = settings
-        self.first_s = self.last_s = self._time_s = time_s
-        self.track_id = NO_TRACK
-        centre, log_size = _measure(box)
-        self.centre, self.velocity, self.log_size = centre, np.zeros(2), log_size
-        size = self._size
-        # East and west are alike: one 2 x 2 covariance of position and velocity serves both axes.
-        self._motion = np.diag([(settings.position_noise * size) ** 2, size**2])
-        self._shape_variance = settings.size_noise**2
 
-    @property
-    def _size(self) -> float:
-        return float(np.exp(0.5 * self.log_size.sum()))
+    def measure(self, boxes: Boxes) -> Columns:
+        """Centres, sizes and corners; see `Plane`."""
+        xyxy = boxes.xyxy_px
+        return {
+            "centre": 0.5 * (xyxy[:, :2] + xyxy[:, 2:]),
+            "log_size": np.log(xyxy[:, 2:] - xyxy[:, :2]),
+            "xyxy": xyxy,
+        }
 
-    @property
-    def box(self) -> FloatArray:
-        """(4,) the box as predicted or last updated, px."""
-        half = 0.5 * np.exp(self.log_size)
-        return np.concatenate([self.centre - half, self.centre + half])
+    def start(self, measured: Columns) -> Columns:
+        """See `Plane`."""
+        n = len(measured["centre"])
+        area = np.exp(measured["log_size"].sum(axis=1))
+        motion = np.zeros((n, 2, 2))
+        motion[:, 0, 0] = self._settings.position_noise**2 * area
+        motion[:, 1, 1] = area
+        return {
+            "centre": measured["centre"],
+            "velocity": np.zeros((n, 2)),
+            "motion": motion,
+            "log_size": measured["log_size"],
+            "shape_variance": np.full(n, self._settings.size_noise**2),
+        }
 
-    @property
-    def spread_px(self) -> float:
-        """Standard deviation of the next centre about the predicted one."""
-        noise = (self._settings.position_noise * self._size) ** 2
-        return float(np.sqrt(self._motion[0, 0] + noise))
+    def predict(self, state: Columns, lag_s: float) -> Columns:
+        """Move on; the acceleration is white, in continuous time. See `Plane`."""
+        area = np.exp(state["log_size"].sum(axis=1))
+        power = self._settings.acceleration**2 * area
+        step = np.array([[1.0, lag_s], [0.0, 1.0]])
+        noise = np.array([[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]])
+        return {
+            **state,
+            "centre": state["centre"] + lag_s * state["velocity"],
+            "motion": step @ state["motion"] @ step.T + power[:, None, None] * noise,
+            "shape_variance": state["shape_variance"] + self._settings.growth**2 * lag_s,
+        }
 
-    def predict(self, time_s: float) -> None:
-        """Move on to a time."""
-        dt = time_s - self._time_s
-        self._time_s = time_s
-        self.centre = self.centre + dt * self.velocity
-        transition = np.array([[1.0, dt], [0.0, 1.0]])
-        # White acceleration in continuous time.
-        power = (self._settings.acceleration * self._size) ** 2
-        noise = power * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-        self._motion = transition @ self._motion @ transition.T + noise
-        self._shape_variance += self._settings.growth**2 * dt
+    def candidates(
+        self, state: Columns, silent_s: FloatArray, measured: Columns
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """See `Plane`."""
+        near = self.nearness(state, measured)
+        possible = self.possible(near)
+        cost = self.cost(near)[possible]
+        return near.target[possible], near.box[possible], cost
 
-    def update(self, box: FloatArray) -> None:
-        """Take a box at the time predicted to."""
-        centre, log_size = _measure(box)
-        gain = self._motion[:, 0] / self.spread_px**2
-        innovation = centre - self.centre
-        self.centre = self.centre + gain[0] * innovation
-        self.velocity = self.velocity + gain[1] * innovation
-        self._motion = self._motion - np.outer(gain, self._motion[0])
-        shape_gain = self._shape_variance / (self._shape_variance + self._settings.size_noise**2)
-        self.log_size = self.log_size + shape_gain * (log_size - self.log_size)
-        self._shape_variance *= 1.0 - shape_gain
-        self.last_s = self._time_s
+    def possible(self, near: Nearness) -> FloatArray:
+        """(P,) bool, whether a pair lies inside the gate or overlaps, and is of like size."""
+        settings = self._settings
+        close = (near.distance <= settings.gate) | (near.overlap >= settings.least_overlap)
+        return close & (near.unlike < LARGEST_UNLIKE)
+
+    def cost(self, near: Nearness) -> FloatArray:
+        """(P,) the lower the likelier."""
+        return near.distance / self._settings.gate + (1.0 - near.overlap) + 0.5 * near.unlike
+
+    def nearness(self, state: Columns, measured: Columns, reach: FloatArray | None = None) -> Nearness:
+        """Pairs of targets and boxes that come near each other.
+
+        Args:
+            state: T targets.
+            measured: N boxes.
+            reach: (T,) px, how far from a target boxes are looked for; absent: to the gate, or
+                to where boxes overlap.
+        """
+        settings = self._settings
+        spread = self._spread_px(state)
+        half = 0.5 * np.exp(state["log_size"])
+        half_box = 0.5 * np.exp(measured["log_size"])
+        apart = np.abs(state["centre"][:, None, 0] - measured["centre"][None, :, 0])
+        if reach is None:
+            reach = settings.gate * spread
+        near = apart <= np.maximum(reach[:, None], half[:, None, 0] + half_box[None, :, 0])
+        i, j = np.nonzero(near)
+        apart_y = np.abs(state["centre"][i, 1] - measured["centre"][j, 1])
+        near_y = apart_y <= np.maximum(reach[i], half[i, 1] + half_box[j, 1])
+        i, j = i[near_y], j[near_y]
+        apart_m = np.hypot(apart[i, j], apart_y[near_y])
+        low = np.maximum(state["centre"][i] - half[i], measured["xyxy"][j, :2])
+        high = np.minimum(state["centre"][i] + half[i], measured["xyxy"][j, 2:])
+        shared = np.maximum(high - low, 0.0).prod(axis=1)
+        area = 4.0 * half.prod(axis=1)[i] + 4.0 * half_box.prod(axis=1)[j]
+        return Nearness(
+            target=i,
+            box=j,
+            distance=apart_m / spread[i],
+            overlap=shared / (area - shared),
+            unlike=np.abs(state["log_size"][i] - measured["log_size"][j]).sum(axis=1),
+        )
+
+    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> Columns:
+        """See `Plane`."""
+        motion, shape = state["motion"], state["shape_variance"]
+        gain = motion[:, :, 0] / self._spread_px(state)[:, None] ** 2
+        innovation = measured["centre"] - state["centre"]
+        shape_gain = shape / (shape + self._settings.size_noise**2)
+        size_step = shape_gain[:, None] * (measured["log_size"] - state["log_size"])
+        return {
+            "centre": state["centre"] + gain[:, :1] * innovation,
+            "velocity": state["velocity"] + gain[:, 1:] * innovation,
+            "motion": motion - gain[:, :, None] * motion[:, None, 0, :],
+            "log_size": state["log_size"] + size_step,
+            "shape_variance": shape * (1.0 - shape_gain),
+        }
+
+    def continuations(
+        self, ended: Columns, silent_s: FloatArray, begun: Columns
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """See `Plane`: in the image alone the velocity of a lost target tells too little."""
+        nothing = np.empty(0, dtype=np.int64)
+        return nothing, nothing, np.empty(0)
+
+    def _spread_px(self, state: Columns) -> FloatArray:
+        """(N,) standard deviation of the next centre about the predicted one."""
+        noise = self._settings.position_noise**2 * np.exp(state["log_size"].sum(axis=1))
+        return np.asarray(np.sqrt(state["motion"][:, 0, 0] + noise))
 
 
-class ImageTracker:
+class ImageTracker(TargetTracker):
     """Follows many targets in the image; see `Tracker`.
 
     Ids start at 1, and belong to the instance.
@@ -122,95 +205,8 @@ class ImageTracker:
         Args:
             settings: Absent: those for boats before a small camera.
         """
-        self._settings = settings if settings is not None else ImageTrackerSettings()
-        self._next_id = 1
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all targets; see `Tracker`."""
-        self._targets: list[_Target] = []
-        self._time_s = -np.inf
-
-    def update(self, boxes: Boxes) -> Boxes:
-        """Give the boxes of one moment their track ids; see `Tracker`."""
-        if not len(boxes):
-            return boxes
-        time_s = float(boxes.time_utc_s[0])
-        if not (boxes.time_utc_s == time_s).all():
-            raise InputError("a tracker takes the boxes of one known time; these have several")
-        if time_s <= self._time_s:
-            raise InputError(
-                f"boxes come {self._time_s - time_s:g} s before those seen last; a tracker takes "
-                "them in the order of time, and is reset between recordings"
-            )
-        self._targets = [target for target in self._targets if not self._gone(target, time_s)]
-        self._time_s = time_s
-        for target in self._targets:
-            target.predict(time_s)
-        owner = self._assign(boxes.xyxy_px)
-        for row, index in enumerate(owner.tolist()):
-            if index == -1:
-                self._targets.append(_Target(boxes.xyxy_px[row], time_s, self._settings))
-                owner[row] = len(self._targets) - 1
-            else:
-                self._targets[index].update(boxes.xyxy_px[row])
-        ids = np.array([self._confirmed_id(self._targets[i], time_s) for i in owner.tolist()])
-        return boxes.with_columns(track_id=ids)[ids != NO_TRACK]
-
-    def _gone(self, target: _Target, time_s: float) -> bool:
-        if target.track_id != NO_TRACK:
-            return time_s - target.last_s > self._settings.coast_s
-        # With few frames a second, the next one is not late.
-        missed = target.last_s < self._time_s
-        return missed and time_s - target.last_s > self._settings.coast_unconfirmed_s
-
-    def _confirmed_id(self, target: _Target, time_s: float) -> int:
-        if target.track_id == NO_TRACK and time_s - target.first_s >= self._settings.confirm_s:
-            target.track_id = self._next_id
-            self._next_id += 1
-        return target.track_id
-
-    def _assign(self, xyxy_px: FloatArray) -> IntArray:
-        """(N,) index of the target of each box, -1 where there is none."""
-        owner = np.full(len(xyxy_px), -1, dtype=np.int64)
-        free = np.ones(len(xyxy_px), dtype=bool)
-        # Confirmed targets choose first: clutter beside a boat must not take its box.
-        for confirmed in (True, False):
-            chosen = [
-                i for i, t in enumerate(self._targets) if (t.track_id != NO_TRACK) == confirmed
-            ]
-            rows = np.flatnonzero(free)
-            if not chosen or not rows.size:
-                continue
-            cost = self._cost([self._targets[i] for i in chosen], xyxy_px[rows])
-            for i, j in zip(*linear_sum_assignment(cost), strict=True):
-                if cost[i, j] < _IMPOSSIBLE:
-                    owner[rows[j]] = chosen[i]
-                    free[rows[j]] = False
-        return owner
-
-    def _cost(self, targets: list[_Target], xyxy_px: FloatArray) -> FloatArray:
-        """(targets, boxes), the lower the likelier; `_IMPOSSIBLE` outside gate and overlap."""
-        predicted = np.stack([target.box for target in targets])
-        overlap = iou(predicted, xyxy_px)
-        centres = 0.5 * (xyxy_px[:, :2] + xyxy_px[:, 2:])
-        apart = np.linalg.norm(
-            np.stack([target.centre for target in targets])[:, None] - centres[None], axis=2
-        )
-        distance = apart / np.array([target.spread_px for target in targets])[:, None]
-        size = np.log(xyxy_px[:, 2:] - xyxy_px[:, :2])
-        sizes = np.stack([target.log_size for target in targets])
-        unlike = np.abs(sizes[:, None] - size[None]).sum(axis=2)
-        cost = distance / self._settings.gate + (1.0 - overlap) + 0.5 * unlike
-        # A box of three times the width and height is of something else.
-        possible = (distance <= self._settings.gate) | (overlap >= self._settings.least_overlap)
-        possible &= unlike < 2.0 * np.log(3.0)
-        return np.where(possible, cost, _IMPOSSIBLE)
-
-
-def _measure(box: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centre, px, and logarithms of width and height."""
-    return 0.5 * (box[:2] + box[2:]), np.log(box[2:] - box[:2])
+        settings = settings if settings is not None else ImageTrackerSettings()
+        super().__init__(ImagePlane(settings), settings)
 
 
 def iou(first: FloatArray, second: FloatArray) -> FloatArray:

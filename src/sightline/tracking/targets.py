@@ -1,0 +1,276 @@
+"""Many targets, in whatever plane: birth, assignment, occlusion, death, and taking up again.
+
+Boxes come in two passes, as in ByteTrack (Zhang et al. 2022): those that the detector is sure of
+first; then the doubtful ones, which may go on with a target that has none yet, and never begin
+one. All times are in seconds, so frames may come as they like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import InputError
+from sightline.tracking.assignment import assign
+from sightline.tracking.plane import Columns, Plane, rows
+from sightline.types import NO_TRACK, BoolArray, Boxes, FloatArray, IntArray
+
+_STATE_VERSION = 1
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """When targets begin and end.
+
+    Attributes:
+        confirm_s: A target counts once it has been followed for this long.
+        coast_s: A confirmed target is kept for this long without a box: behind a post, say.
+        coast_unconfirmed_s: The same for one that is not confirmed, once it was missed.
+        direct_s: A target that has had no box for longer is not given single boxes, any of which
+            may be clutter: it is taken up again by a new target that is found to be its
+            continuation when it is confirmed.
+        sure_confidence: Boxes of less confidence begin no target, and may only go on with a
+            confirmed one that has none better.
+        least_confidence: Boxes of less confidence are left out.
+        doubtful_s: A doubtful box goes on only with a target that had a box this recently.
+    """
+
+    confirm_s: float = 0.4
+    coast_s: float = 3.0
+    coast_unconfirmed_s: float = 0.3
+    direct_s: float = 3.0
+    sure_confidence: float = 0.4
+    least_confidence: float = 0.0
+    doubtful_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value >= 0.0:
+                raise InputError(f"tracker: {name} is {value:g}; it must not be negative")
+
+
+class TargetTracker:
+    """Follows many targets in a plane; see `Tracker`.
+
+    Ids start at 1, and belong to the instance.
+    """
+
+    def __init__(self, plane: Plane, settings: TrackerSettings) -> None:
+        """Begin without targets.
+
+        Args:
+            plane: What is measured of targets, and how that moves.
+            settings: When targets begin and end.
+        """
+        self._plane = plane
+        self._settings = settings
+        self._next_id = 1
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all targets; see `Tracker`."""
+        self._time_s = self._before_s = -np.inf
+        self._first_s: FloatArray = np.empty(0)
+        self._last_s: FloatArray = np.empty(0)
+        self._track_id: IntArray = np.empty(0, dtype=np.int64)
+        self._state: Columns | None = None
+
+    def __len__(self) -> int:
+        """How many targets are followed, lost ones and unconfirmed ones among them."""
+        return self._track_id.size
+
+    def update(self, boxes: Boxes) -> Boxes:
+        """Give the boxes of one moment their track ids; see `Tracker`."""
+        if not len(boxes):
+            return boxes
+        time_s = float(boxes.time_utc_s[0])
+        if not (boxes.time_utc_s == time_s).all():
+            raise InputError("a tracker takes the boxes of one known time; these have several")
+        if time_s <= self._time_s:
+            raise InputError(
+                f"boxes come {self._time_s - time_s:g} s before those seen last; a tracker takes "
+                "them in the order of time, and is reset between recordings"
+            )
+        self._keep(~self._gone(time_s))
+        self._before_s = self._time_s
+        if self._state is not None and len(self):
+            self._state = self._plane.predict(self._state, time_s - self._time_s)
+        self._time_s = time_s
+        measured = self._plane.measure(boxes)
+        owner = self._assign(measured, boxes.confidence)
+        self._take(owner, measured, time_s)
+        self._begin(owner, measured, boxes.confidence, time_s)
+        joined = self._confirm(time_s)
+        ids = np.where(owner >= 0, self._track_id[owner], NO_TRACK) if len(self) else owner
+        kept = np.ones(len(self), dtype=bool)
+        kept[joined] = False
+        self._keep(kept)
+        return boxes.with_columns(track_id=ids)[ids != NO_TRACK]
+
+    def state(self) -> dict[str, Any]:
+        """All that the tracker knows, as JSON can hold it; see `restore`."""
+        return {
+            "version": _STATE_VERSION,
+            "next_id": self._next_id,
+            "time_utc_s": None if np.isneginf(self._time_s) else self._time_s,
+            "before_utc_s": None if np.isneginf(self._before_s) else self._before_s,
+            "first_utc_s": self._first_s.tolist(),
+            "last_utc_s": self._last_s.tolist(),
+            "track_id": self._track_id.tolist(),
+            "targets": {name: column.tolist() for name, column in (self._state or {}).items()},
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where a tracker of the same plane and settings was when it told its `state`.
+
+        Raises:
+            InputError: That is no state of such a tracker.
+        """
+        if not isinstance(state, Mapping) or state.get("version") != _STATE_VERSION:
+            raise InputError(
+                f"this is no state of a tracker in version {_STATE_VERSION}; begin without one"
+            )
+        template = self._plane.start(self._plane.measure(Boxes.of([])))
+        try:
+            next_id = int(state["next_id"])
+            times = [
+                -np.inf if state[name] is None else float(state[name])
+                for name in ("time_utc_s", "before_utc_s")
+            ]
+            first, last = (
+                np.array(state[name], dtype=np.float64) for name in ("first_utc_s", "last_utc_s")
+            )
+            ids = np.array(state["track_id"], dtype=np.int64)
+            n = ids.size
+            columns = {
+                name: np.array(state["targets"][name], dtype=np.float64).reshape(
+                    (n, *column.shape[1:])
+                )
+                for name, column in (template.items() if n else ())
+            }
+        except (LookupError, TypeError, ValueError, OverflowError) as error:
+            raise InputError(
+                f"the state of a tracker is damaged, or of a tracker in another plane ({error!r}); "
+                "begin without one"
+            ) from error
+        sound = first.shape == last.shape == (n,) and np.isfinite([*first, *last]).all()
+        sound = sound and all(np.isfinite(column).all() for column in columns.values())
+        sound = sound and next_id > int(ids.max(initial=0)) and not np.isnan(times).any()
+        if not sound:
+            raise InputError(
+                "the state of a tracker is damaged: its columns do not fit together; "
+                "begin without one"
+            )
+        self._next_id = next_id
+        self._time_s, self._before_s = times
+        self._first_s, self._last_s, self._track_id = first, last, ids
+        self._state = columns or None
+
+    def _gone(self, time_s: float) -> BoolArray:
+        silent_s = time_s - self._last_s
+        # With few frames a second, the next one is not late.
+        missed = self._last_s < self._time_s
+        return np.where(
+            self._track_id != NO_TRACK,
+            silent_s > self._settings.coast_s,
+            missed & (silent_s > self._settings.coast_unconfirmed_s),
+        )
+
+    def _keep(self, kept: BoolArray) -> None:
+        if kept.all():
+            return
+        self._first_s, self._last_s = self._first_s[kept], self._last_s[kept]
+        self._track_id = self._track_id[kept]
+        if self._state is not None:
+            self._state = rows(self._state, kept)
+
+    def _assign(self, measured: Columns, confidence: FloatArray) -> IntArray:
+        """(N,) row of the target of each box, -1 where there is none."""
+        settings = self._settings
+        owner = np.full(confidence.size, -1, dtype=np.int64)
+        if self._state is None or not len(self):
+            return owner
+        silent_s = self._time_s - self._last_s
+        sure = confidence >= settings.sure_confidence
+        doubtful = ~sure & (confidence >= settings.least_confidence)
+        confirmed = self._track_id != NO_TRACK
+        # Confirmed targets choose first: clutter beside a boat must not take its box.
+        for who, which in (
+            (confirmed & ((silent_s <= settings.direct_s) | ~(self._last_s < self._before_s)), sure),
+            (confirmed & (silent_s <= settings.doubtful_s), doubtful),
+            (~confirmed, sure),
+        ):
+            free = np.ones(len(self), dtype=bool)
+            free[owner[owner >= 0]] = False
+            targets = np.flatnonzero(who & free)
+            boxes = np.flatnonzero(which & (owner < 0))
+            if not targets.size or not boxes.size:
+                continue
+            i, j, cost = self._plane.candidates(
+                rows(self._state, targets), silent_s[targets], rows(measured, boxes)
+            )
+            i, j = assign(i, j, cost, (targets.size, boxes.size))
+            owner[boxes[j]] = targets[i]
+        return owner
+
+    def _take(self, owner: IntArray, measured: Columns, time_s: float) -> None:
+        """Update the targets that were given boxes."""
+        boxes = np.flatnonzero(owner >= 0)
+        if self._state is None or not boxes.size:
+            return
+        targets = owner[boxes]
+        silent_s = time_s - self._last_s[targets]
+        updated = self._plane.update(rows(self._state, targets), silent_s, rows(measured, boxes))
+        for name, column in updated.items():
+            self._state[name][targets] = column
+        self._last_s[targets] = time_s
+
+    def _begin(
+        self, owner: IntArray, measured: Columns, confidence: FloatArray, time_s: float
+    ) -> None:
+        """Begin a target for each box that is left, and write down its row."""
+        new = np.flatnonzero((owner < 0) & (confidence >= self._settings.sure_confidence))
+        if not new.size:
+            return
+        owner[new] = len(self) + np.arange(new.size)
+        begun = self._plane.start(rows(measured, new))
+        if self._state is None or not len(self):
+            self._state = {name: np.array(column) for name, column in begun.items()}
+        else:
+            self._state = {
+                name: np.concatenate([self._state[name], column]) for name, column in begun.items()
+            }
+        self._first_s = np.append(self._first_s, np.full(new.size, time_s))
+        self._last_s = np.append(self._last_s, np.full(new.size, time_s))
+        self._track_id = np.append(self._track_id, np.full(new.size, NO_TRACK, dtype=np.int64))
+
+    def _confirm(self, time_s: float) -> IntArray:
+        """Number the targets that have been followed for long enough, or take lost ones up.
+
+        Returns:
+            Rows of the lost ones that were taken up, and are to be dropped.
+        """
+        fresh = (self._track_id == NO_TRACK) & (self._last_s == time_s)
+        new = np.flatnonzero(fresh & (time_s - self._first_s >= self._settings.confirm_s))
+        joined = np.empty(0, dtype=np.int64)
+        if not new.size or self._state is None:
+            return joined
+        lost = np.flatnonzero((self._track_id != NO_TRACK) & (self._last_s < time_s))
+        if lost.size:
+            silent_s = time_s - self._last_s[lost]
+            i, j, cost = self._plane.continuations(
+                rows(self._state, lost), silent_s, rows(self._state, new)
+            )
+            # Nothing goes on as something that was there beside it.
+            after = self._last_s[lost[i]] < self._first_s[new[j]]
+            i, j = assign(i[after], j[after], cost[after], (lost.size, new.size))
+            joined = lost[i]
+            self._track_id[new[j]] = self._track_id[joined]
+            self._first_s[new[j]] = self._first_s[joined]
+        numbered = new[self._track_id[new] == NO_TRACK]
+        self._track_id[numbered] = self._next_id + np.arange(numbered.size)
+        self._next_id += numbered.size
+        return joined
