@@ -1,0 +1,252 @@
+r"""Many targets on the earth's plane, where a model says where boxes lie.
+
+A target has a place and a velocity in metres, and a box in the image. From one frame to the next
+the image tells more: a pixel is worth metres far away, and nothing near the horizon has a
+position at all. Over seconds the earth does: vessels go straight in it, at speeds that vessels
+have. So targets are predicted in both planes, and a box must agree with both as long as either
+tells something.
+
+The camera stands at the origin. It knows bearings well and ranges badly; what it measures is taken
+as the bearing and the *inverse* range, in which a pixel counts the same everywhere (an extended
+Kalman filter, Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and
+Navigation*, 2001, section 10.3): the noise is then that of the range predicted, and a range that
+was measured too short does not look precise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.tracking.image import ImagePlane, ImageTrackerSettings
+from sightline.tracking.plane import Columns, rows
+from sightline.tracking.targets import TargetTracker
+from sightline.types import Boxes, FloatArray, IntArray, Positions, StrArray
+
+Locate = Callable[[FloatArray, StrArray], Positions]
+"""Where boxes (N, 4) of sources (N,) lie, as `Georeferencer.locate` says it."""
+
+_NEAREST_M = 1.0
+_OWN_SHARE = 0.05
+_UNKNOWN = -1.0
+
+
+@dataclass(frozen=True)
+class WorldTrackerSettings(ImageTrackerSettings):
+    """How a `WorldTracker` follows targets.
+
+    Attributes:
+        acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
+        speed_mps: Standard deviation of each component of the velocity of a new target.
+        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
+            accordingly less.
+        earth_gate: Largest distance between a predicted and a measured place, in standard
+            deviations.
+        loose_gate: The same as long as the image tells more, within ``image_s``: the lower edge
+            of a boat that something begins to hide is anywhere.
+        image_s: For this long without a box the image's own prediction is good.
+        stitch_gate: Largest distance, in place and velocity, between a lost target and a new one
+            that continues it.
+    """
+
+    coast_s: float = 20.0
+    direct_s: float = 2.0
+    acceleration_m2ps3: float = 0.3
+    speed_mps: float = 4.0
+    lasting_s: float = 0.6
+    earth_gate: float = 4.0
+    loose_gate: float = 12.0
+    image_s: float = 0.6
+    stitch_gate: float = 4.0
+
+
+class WorldPlane:
+    """Image and earth together as a measurement model; see `Plane`.
+
+    Beside the columns of `ImagePlane` a state has ``place`` (N, 4), metres east and north and
+    their velocities, ``doubt`` (N, 4, 4) their covariance, and ``placed`` (N,), 1 where they mean
+    something and 0 where the target has had no position yet.
+    """
+
+    def __init__(self, locate: Locate, settings: WorldTrackerSettings) -> None:
+        """Take the model.
+
+        Args:
+            locate: Where boxes lie.
+            settings: How targets move.
+        """
+        self._locate = locate
+        self._settings = settings
+        self._image = ImagePlane(settings)
+
+    def measure(self, boxes: Boxes) -> Columns:
+        """What the image has, and ``sight`` (bearing, inverse range) with ``noise``."""
+        positions = self._locate(boxes.xyxy_px, boxes.source)
+        known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
+        en = np.stack([positions.east_m, positions.north_m], axis=1)
+        en = np.where(known[:, None], en, [0.0, 1.0])
+        assert positions.shared_covariance_m2 is not None, "positions fill it in"
+        # What a target's positions have in common does not move it from one to the next.
+        own = positions.covariance_m2 - (1.0 - _OWN_SHARE) * positions.shared_covariance_m2
+        own = np.where(known[:, None, None], own, np.eye(2))
+        sight, jacobian = _sight(en)
+        noise = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
+        return {
+            **self._image.measure(boxes),
+            "placed": known.astype(np.float64),
+            "en": en,
+            "own": own,
+            "sight": sight,
+            "noise": noise,
+        }
+
+    def start(self, measured: Columns) -> Columns:
+        """See `Plane`."""
+        n = len(measured["placed"])
+        doubt = np.zeros((n, 4, 4))
+        doubt[:, :2, :2] = measured["own"]
+        doubt[:, 2:, 2:] = self._settings.speed_mps**2 * np.eye(2)
+        return {
+            **self._image.start(measured),
+            "place": np.concatenate([measured["en"], np.zeros((n, 2))], axis=1),
+            "doubt": doubt,
+            "placed": measured["placed"],
+        }
+
+    def predict(self, state: Columns, lag_s: float) -> Columns:
+        """See `Plane`."""
+        step = np.eye(4)
+        step[0, 2] = step[1, 3] = lag_s
+        noise = np.kron(
+            [[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]], np.eye(2)
+        )
+        return {
+            **self._image.predict(state, lag_s),
+            "place": state["place"] @ step.T,
+            "doubt": step @ state["doubt"] @ step.T + self._settings.acceleration_m2ps3 * noise,
+            "placed": state["placed"],
+        }
+
+    def candidates(
+        self, state: Columns, silent_s: FloatArray, measured: Columns
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """See `Plane`."""
+        settings = self._settings
+        near = self._image.nearness(state, measured)
+        i, j = near.target, near.box
+        both = (state["placed"][i] > 0.0) & (measured["placed"][j] > 0.0)
+        distance = self._distance(state, measured, i, j)
+        fresh = silent_s[i] <= settings.image_s
+        limit = np.where(fresh, settings.loose_gate, settings.earth_gate)
+        possible = self._image.possible(near) & (~both | (distance <= limit))
+        cost = self._image.cost(near)
+        cost = cost + np.where(both, np.minimum(distance / settings.earth_gate, 3.0), 1.0)
+        return i[possible], j[possible], cost[possible]
+
+    def _distance(
+        self, state: Columns, measured: Columns, i: IntArray, j: IntArray
+    ) -> FloatArray:
+        """(P,) distance of pairs in bearing and inverse range, in standard deviations."""
+        expected, jacobian = _sight(state["place"][:, :2])
+        spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
+        off = _off(measured["sight"][j], expected[i])
+        return np.sqrt(_squared(off, spread[i] + measured["noise"][j]))
+
+    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> Columns:
+        """See `Plane`."""
+        image = self._image.update(state, silent_s, measured)
+        had, has = state["placed"] > 0.0, measured["placed"] > 0.0
+        place, doubt = state["place"], state["doubt"]
+        expected, jacobian = _sight(place[:, :2])
+        design = np.zeros((len(had), 2, 4))
+        design[:, :, :2] = jacobian
+        cross = doubt @ np.swapaxes(design, 1, 2)
+        # Errors that last make boxes that follow each other closely one box.
+        repeated = np.maximum(1.0, 2.0 * self._settings.lasting_s / np.maximum(silent_s, 1e-3))
+        noise = measured["noise"] * repeated[:, None, None]
+        gain = cross @ _inverse(design @ cross + noise)
+        off = _off(measured["sight"], expected)
+        both = (had & has)[:, None]
+        moved = place + np.einsum("nij,nj->ni", gain, off)
+        left = doubt - gain @ np.swapaxes(cross, 1, 2)
+        left = 0.5 * (left + np.swapaxes(left, 1, 2))
+        # One that had no position yet begins with this one.
+        new = self.start(measured)
+        first = (~had & has)[:, None]
+        return {
+            **image,
+            "place": np.where(both, moved, np.where(first, new["place"], place)),
+            "doubt": np.where(
+                both[:, :, None], left, np.where(first[:, :, None], new["doubt"], doubt)
+            ),
+            "placed": np.maximum(state["placed"], measured["placed"]),
+        }
+
+    def continuations(
+        self, ended: Columns, silent_s: FloatArray, begun: Columns
+    ) -> tuple[IntArray, IntArray, FloatArray]:
+        """See `Plane`: place and velocity together."""
+        i, j = np.nonzero((ended["placed"][:, None] > 0.0) & (begun["placed"][None, :] > 0.0))
+        unlike = np.abs(ended["log_size"][i] - begun["log_size"][j]).sum(axis=1)
+        off = begun["place"][j] - ended["place"][i]
+        spread = ended["doubt"][i] + begun["doubt"][j]
+        squared = np.einsum("pi,pi->p", off, np.linalg.solve(spread, off[:, :, None])[:, :, 0])
+        distance = np.sqrt(squared)
+        near = (distance <= self._settings.stitch_gate) & (unlike <= 1.0)
+        return i[near], j[near], (distance + unlike)[near]
+
+
+class WorldTracker(TargetTracker):
+    """Follows many targets on the earth's plane; see `Tracker`.
+
+    Boxes without a position (above the horizon, or too far) are followed in the image alone. Ids
+    start at 1, and belong to the instance.
+    """
+
+    def __init__(self, locate: Locate, settings: WorldTrackerSettings | None = None) -> None:
+        """Begin without targets.
+
+        Args:
+            locate: Where boxes lie, as `Georeferencer.locate` says it.
+            settings: Absent: those for vessels.
+        """
+        settings = settings if settings is not None else WorldTrackerSettings()
+        super().__init__(WorldPlane(locate, settings), settings)
+
+
+def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bearing (radians) and inverse range (1/m) of places, and their derivatives.
+
+    Args:
+        en_m: (N, 2) metres.
+
+    Returns:
+        (N, 2), and (N, 2, 2): rows bearing and inverse range, columns east and north.
+    """
+    east, north = en_m.T
+    range_m = np.maximum(np.hypot(east, north), _NEAREST_M)
+    sight = np.stack([np.arctan2(east, north), 1.0 / range_m], axis=1)
+    squared, cubed = range_m**2, range_m**3
+    derivative = np.stack([north / squared, -east / squared, -east / cubed, -north / cubed], axis=1)
+    return sight, derivative.reshape(-1, 2, 2)
+
+
+def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
+    """(N, 2) differences, that of the bearing in (-pi, pi]."""
+    off = measured - expected
+    off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+    return np.asarray(off)
+
+
+def _inverse(matrices: FloatArray) -> FloatArray:
+    """(N, 2, 2) of (N, 2, 2) symmetric and positive definite."""
+    a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
+    adjugate = np.stack([c, -b, -b, a], axis=1).reshape(-1, 2, 2)
+    return np.asarray(adjugate / (a * c - b * b)[:, None, None])
+
+
+def _squared(off: FloatArray, spread: FloatArray) -> FloatArray:
+    """(N,) squared Mahalanobis distances of (N, 2) under (N, 2, 2)."""
+    return np.asarray(np.einsum("ni,nij,nj->n", off, _inverse(spread), off))
