@@ -53,13 +53,13 @@ class WorldTrackerSettings(ImageTrackerSettings):
 
     coast_s: float = 20.0
     direct_s: float = 2.0
-    acceleration_m2ps3: float = 0.3
+    acceleration_m2ps3: float = 0.7
     speed_mps: float = 4.0
-    lasting_s: float = 0.6
+    lasting_s: float = 1.0
     earth_gate: float = 4.0
-    loose_gate: float = 12.0
+    loose_gate: float = 5.0
     image_s: float = 0.6
-    stitch_gate: float = 4.0
+    stitch_gate: float = 5.0
 
 
 class WorldPlane:
