@@ -1,0 +1,522 @@
+r"""Where a target will be: its state by what was seen so far, and the same moved on in time.
+
+A target goes straight, turns left, or turns right, and changes between these after some time. In
+each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest, slowly where
+it goes straight and faster where it turns, under white acceleration: an integrated Ornstein-Uhlenbeck process, which,
+other than constant velocity, stays honest for minutes (Millefiori et al., "Modeling vessel
+kinematics using a stochastic mean-reverting process for long-term prediction", *IEEE Trans.
+Aerosp. Electron. Syst.* 52(5), 2016). With east and north as one complex number it is
+
+.. math:: \dot p = v, \qquad \dot v = -\lambda v + \text{noise}, \qquad
+          \lambda = 1 / \tau - i \omega .
+
+Which of the manners holds is followed by an interacting multiple-model filter (Blom and
+Bar-Shalom, *IEEE Trans. Autom. Control* 33(8), 1988). It uses no box that comes after the moment
+that it speaks of.
+
+The camera stands at the origin of the plane. Measurements are taken as bearing and inverse range,
+so that their noise is that of the range predicted; see `sightline.trajectory.smoother`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sightline.errors import InputError
+from sightline.geodesy import LocalPlane
+from sightline.trajectory.base import Measurements, measurements
+from sightline.types import FloatArray, PointKind, Positions, Track
+
+HORIZONS_S = (5.0, 10.0, 30.0, 60.0)
+"""How far ahead forecasts are looked at, where nobody says."""
+
+_LONGEST_STEP_S = 2.0
+_SAME_TIME_S = 1e-6
+_NEAREST_M = 1e-3
+_ITERATIONS = 3
+_STEADY = np.sqrt(0.5)
+
+
+@dataclass(frozen=True)
+class MotionModel:
+    """How targets move when nobody knows better.
+
+    Attributes:
+        turn_rate_radps: Of the two manners in which a target turns, radians a second.
+        manner_s: Mean time in one manner.
+        straight_share: Share of the time in which targets go straight.
+        straight_s: Time constant with which the velocity reverts to rest while it goes straight.
+        turning_s: The same while it turns.
+        straight_m2ps3: Spectral density of the white acceleration while it goes straight, m²/s³.
+        turning_m2ps3: The same while it turns.
+        speed_mps: Standard deviation of each component of the velocity of a new target.
+        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
+            accordingly less.
+        outlier_gate: A position further from the expected one than so many standard deviations
+            is taken for accordingly less precise.
+    """
+
+    turn_rate_radps: float = 0.15
+    manner_s: float = 6.0
+    straight_share: float = 0.5
+    straight_s: float = 600.0
+    turning_s: float = 60.0
+    straight_m2ps3: float = 0.03
+    turning_m2ps3: float = 0.1
+    speed_mps: float = 2.5
+    lasting_s: float = 0.6
+    outlier_gate: float = 3.5
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            least = 0.0 if name in ("turn_rate_radps", "lasting_s") else np.nextafter(0.0, 1.0)
+            if not least <= value < np.inf:
+                raise InputError(f"motion model: {name} is {value:g}; expected a positive number")
+        if not self.straight_share <= 1.0:
+            raise InputError(
+                f"motion model: straight_share is {self.straight_share:g}; expected at most 1"
+            )
+
+    @property
+    def turn_rates_radps(self) -> FloatArray:
+        """(3,) of the manners: straight, left, right."""
+        return self.turn_rate_radps * np.array([0.0, 1.0, -1.0])
+
+    @property
+    def shares(self) -> FloatArray:
+        """(3,) of the time in each manner."""
+        turning = 0.5 * (1.0 - self.straight_share)
+        return np.array([self.straight_share, turning, turning])
+
+    @property
+    def revertings_s(self) -> FloatArray:
+        """(3,) time constants of the manners."""
+        return np.array([self.straight_s, self.turning_s, self.turning_s])
+
+    @property
+    def accelerations_m2ps3(self) -> FloatArray:
+        """(3,) spectral densities of the manners."""
+        return np.array([self.straight_m2ps3, self.turning_m2ps3, self.turning_m2ps3])
+
+
+def transition(
+    lag_s: float, turn_rate_radps: ArrayLike, reverting_s: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    r"""How a state moves on, and the noise that it picks up for a spectral density of 1 m²/s³.
+
+    With :math:`a = e^{-\lambda h}` and :math:`b = (1 - a) / \lambda` the mean is
+    :math:`p + b v,\ a v`; the covariances are the integrals of :math:`|a|^2`,
+    :math:`b \bar a` and :math:`|b|^2` over the lag.
+
+    Args:
+        lag_s: Not negative.
+        turn_rate_radps: (K,) radians a second, counter-clockwise as east turns to north.
+        reverting_s: Time constant of the velocity, (K,) or one for all.
+
+    Returns:
+        (K, 4, 4) and (K, 4, 4): positions and velocities, east and north.
+    """
+    turning = np.atleast_1d(np.asarray(turn_rate_radps, dtype=np.float64))
+    tau = np.broadcast_to(np.asarray(reverting_s, dtype=np.float64), turning.shape)
+    rate = 1.0 / tau - 1j * turning
+    kept = np.exp(-rate * lag_s)
+    moved = -np.expm1(-rate * lag_s) / rate
+    energy = -0.5 * tau * np.expm1(-2.0 * lag_s / tau)
+    crossed = (np.conj(moved) - energy) / rate
+    position = (lag_s - 2.0 * moved.real + energy) / np.abs(rate) ** 2
+    # Over short lags these are differences of nearly equal numbers; there they are their series.
+    short = (np.abs(rate) + 2.0 / tau) * lag_s < 3e-3
+    crossed = np.where(short, 0.5 * lag_s**2 * (1.0 - lag_s * (rate + 2.0 / tau) / 3.0), crossed)
+    position = np.where(short, lag_s**3 / 3.0 * (1.0 - 0.75 * lag_s / tau), position)
+    zero, one = np.zeros(rate.shape), np.ones(rate.shape)
+    step = _blocks(one, moved, zero, kept)
+    return step, _blocks(position, crossed, np.conj(crossed), energy)
+
+
+def _blocks(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    """(K, 4, 4) of four complex numbers each, as they act on east and north."""
+    out = np.empty((a.size, 4, 4))
+    for rows, columns, values in ((0, 0, a), (0, 2, b), (2, 0, c), (2, 2, d)):
+        out[:, rows, columns] = out[:, rows + 1, columns + 1] = np.real(values)
+        out[:, rows + 1, columns] = np.imag(values)
+        out[:, rows, columns + 1] = -np.imag(values)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class MotionState:
+    """What is known of N targets, each at its own moment: a mixture over the K manners of motion.
+
+    Attributes:
+        time_utc_s: (N,) float64, POSIX seconds.
+        weight: (N, K) float64, probability of each manner.
+        mean: (N, K, 4) float64, metres east and north, and their velocities.
+        covariance: (N, K, 4, 4) float64, without what all positions of a target share.
+        shared_m2: (N, 2, 2) float64, what they share: of the camera, which time does not change.
+        plane: Where the origin lies on the earth.
+        motion: How targets move.
+    """
+
+    time_utc_s: FloatArray
+    weight: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+    shared_m2: FloatArray
+    plane: LocalPlane
+    motion: MotionModel
+
+    def __len__(self) -> int:
+        return int(self.time_utc_s.size)
+
+    def __getitem__(self, rows: object) -> MotionState:
+        """The states that an index array, a mask or a slice selects."""
+        names = ("time_utc_s", "weight", "mean", "covariance", "shared_m2")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    @classmethod
+    def of_track(cls, track: Track, motion: MotionModel | None = None) -> MotionState:
+        r"""The state at the end of a track, for one that is known as a track alone.
+
+        A track does not say how the errors of place and velocity hang together. They are taken to
+        do so as in the steady state of a filter for constant velocity under white acceleration,
+        where their correlation is :math:`1/\sqrt 2`.
+
+        Args:
+            track: At least one point.
+            motion: How targets move.
+
+        Raises:
+            InputError: The track has no point, or states no covariance.
+        """
+        motion = motion or MotionModel()
+        stated = [track.covariance_m2[-1:], track.velocity_covariance_m2ps2[-1:]]
+        if not len(track) or not all(np.isfinite(part).all() for part in stated):
+            raise InputError(
+                f"track {track.track_id}: its last point does not say how unsure place and "
+                "velocity are, so nothing can be forecast"
+            )
+        place, velocity = (_root(part[0]) for part in stated)
+        covariance = np.zeros((4, 4))
+        covariance[:2, :2], covariance[2:, 2:] = place @ place, velocity @ velocity
+        covariance[:2, 2:] = _STEADY * place @ velocity
+        covariance[2:, :2] = covariance[:2, 2:].T
+        mean = [track.east_m[-1], track.north_m[-1]]
+        mean += [track.velocity_east_mps[-1], track.velocity_north_mps[-1]]
+        k = motion.shares.size
+        return cls(
+            time_utc_s=track.time_utc_s[-1:],
+            weight=motion.shares[None, :],
+            mean=np.tile(mean, (1, k, 1)),
+            covariance=np.tile(covariance, (1, k, 1, 1)),
+            shared_m2=np.zeros((1, 2, 2)),
+            plane=track.plane,
+            motion=motion,
+        )
+
+    def ahead(self, lag_s: float) -> MotionState:
+        """All of them the same time later.
+
+        Args:
+            lag_s: Seconds, not negative.
+        """
+        steps = max(1, int(np.ceil(lag_s / _LONGEST_STEP_S - 1e-9)))
+        h, motion = lag_s / steps, self.motion
+        move, noise = transition(h, motion.turn_rates_radps, motion.revertings_s)
+        noise = motion.accelerations_m2ps3[:, None, None] * noise
+        stay = np.exp(-h / motion.manner_s)
+        change = stay * np.eye(motion.shares.size) + (1.0 - stay) * motion.shares
+        weight, mean, covariance = self.weight, self.mean, self.covariance
+        for _ in range(steps if lag_s > 0.0 else 0):
+            weight, mean, covariance = _mixed(weight, mean, covariance, change)
+            mean = np.einsum("kij,nkj->nki", move, mean)
+            covariance = move @ covariance @ np.swapaxes(move, 1, 2) + noise
+        return replace(
+            self,
+            time_utc_s=self.time_utc_s + lag_s,
+            weight=weight,
+            mean=mean,
+            covariance=covariance,
+        )
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (N, 4) and covariance (N, 4, 4) over all manners, what is shared included."""
+        mean = np.einsum("nk,nki->ni", self.weight, self.mean)
+        off = self.mean - mean[:, None]
+        spread = self.covariance + off[..., :, None] * off[..., None, :]
+        covariance = np.einsum("nk,nkij->nij", self.weight, spread)
+        covariance[:, :2, :2] += self.shared_m2
+        return mean, covariance
+
+    def forecast(self, lag_s: ArrayLike, *, track_id: int = 0, label: str = "") -> Track:
+        """Place and ellipse of one target some times later, as an extrapolated track.
+
+        Args:
+            lag_s: (M,) seconds after the state, positive and increasing.
+            track_id: Passed on.
+            label: Passed on.
+
+        Raises:
+            InputError: There is not one state, or a time is not later than the one before it.
+        """
+        lags = np.atleast_1d(np.asarray(lag_s, dtype=np.float64))
+        if len(self) != 1:
+            raise InputError(f"a forecast is of one target; these are {len(self)}")
+        if not (np.diff(lags, prepend=0.0) > 0.0).all() or not np.isfinite(lags).all():
+            raise InputError("the times of a forecast must be positive and increase")
+        means, covariances, state = [], [], self
+        for step in np.diff(lags, prepend=0.0).tolist():
+            state = state.ahead(step)
+            mean, covariance = state.moments()
+            means.append(mean[0])
+            covariances.append(covariance[0])
+        at, doubt = np.reshape(means, (-1, 4)), np.reshape(covariances, (-1, 4, 4))
+        return Track(
+            track_id=track_id,
+            time_utc_s=self.time_utc_s[0] + lags,
+            east_m=at[:, 0],
+            north_m=at[:, 1],
+            velocity_east_mps=at[:, 2],
+            velocity_north_mps=at[:, 3],
+            covariance_m2=doubt[:, :2, :2],
+            velocity_covariance_m2ps2=doubt[:, 2:, 2:],
+            kind=np.full(lags.size, PointKind.EXTRAPOLATED, dtype=np.int8),
+            plane=self.plane,
+            label=label,
+        )
+
+
+def _root(matrix: FloatArray) -> FloatArray:
+    """The symmetric root of a covariance."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _mixed(
+    weight: FloatArray, mean: FloatArray, covariance: FloatArray, change: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The mixture after a chance to change the manner; each again as one normal distribution."""
+    joint = weight[:, :, None] * change
+    after = joint.sum(axis=1)
+    share = joint / np.maximum(after, 1e-300)[:, None, :]
+    mixed = np.einsum("njk,nji->nki", share, mean)
+    off = mean[:, :, None] - mixed[:, None]
+    spread = np.einsum("njk,njka,njkb->nkab", share, off, off)
+    return after, mixed, spread + np.einsum("njk,njab->nkab", share, covariance)
+
+
+def follow(
+    time_utc_s: FloatArray,
+    positions: Positions,
+    motion: MotionModel | None = None,
+    *,
+    track_id: int = 0,
+) -> MotionState:
+    """What was known of one target at each of its positions, by that one and those before it.
+
+    Args:
+        time_utc_s: (N,) POSIX seconds, in any order.
+        positions: N rows; those without a position are left out.
+        motion: How targets move.
+        track_id: For messages.
+
+    Returns:
+        A state for each time at which there is a position, in the order of time.
+
+    Raises:
+        InputError: There is no position, or the columns are of different lengths.
+    """
+    motion = motion or MotionModel()
+    measured, _ = measurements(time_utc_s, positions, None, None, track_id)
+    state = _begun(measured, positions.plane, motion)
+    states = [state]
+    last_s = float(measured.time_utc_s[0])
+    for i in range(1, measured.time_utc_s.size):
+        lag_s = float(measured.time_utc_s[i]) - last_s
+        last_s += lag_s
+        state = _updated(state.ahead(lag_s), measured, i, lag_s)
+        if lag_s > _SAME_TIME_S:
+            states.append(state)
+        else:
+            states[-1] = state
+    names = ("time_utc_s", "weight", "mean", "covariance", "shared_m2")
+    return replace(
+        state, **{name: np.concatenate([getattr(one, name) for one in states]) for name in names}
+    )
+
+
+def _begun(measured: Measurements, plane: LocalPlane, motion: MotionModel) -> MotionState:
+    k = motion.shares.size
+    covariance = np.zeros((4, 4))
+    covariance[:2, :2] = measured.covariance_m2[0]
+    covariance[2:, 2:] = motion.speed_mps**2 * np.eye(2)
+    return MotionState(
+        time_utc_s=measured.time_utc_s[:1],
+        weight=motion.shares[None, :],
+        mean=np.tile(np.append(measured.en_m[0], [0.0, 0.0]), (1, k, 1)),
+        covariance=np.tile(covariance, (1, k, 1, 1)),
+        shared_m2=measured.shared_m2[:1],
+        plane=plane,
+        motion=motion,
+    )
+
+
+def _updated(state: MotionState, measured: Measurements, i: int, lag_s: float) -> MotionState:
+    """A state, predicted to its time, with one more position (an iterated Kalman filter)."""
+    motion = state.motion
+    sight, axes = _sight(measured.en_m[i : i + 1])
+    noise = axes[0] @ measured.covariance_m2[i] @ axes[0].T
+    # Errors that last make boxes that follow each other closely one box.
+    noise = noise * max(1.0, 2.0 * motion.lasting_s / max(lag_s, 1e-3))
+    expected, covariance = state.mean[0], state.covariance[0]
+    at, place = expected, covariance[:, :2, :2]
+    off = _off(sight, _sight(expected[:, :2])[0])
+    design = _sight(expected[:, :2])[1]
+    spread = design @ place @ np.swapaxes(design, 1, 2) + noise
+    distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
+    # How far from the expected place a position may be is asked once, of all manners.
+    far = max(1.0, float(distance2.min()) / motion.outlier_gate**2)
+    noise, spread = far * noise, spread + (far - 1.0) * noise
+    distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
+    likely = np.log(state.weight[0]) - 0.5 * (distance2 + np.log(np.linalg.det(spread)))
+    weight = np.exp(likely - likely.max())
+    for _ in range(_ITERATIONS):
+        there, design = _sight(at[:, :2])
+        cross = covariance[:, :, :2] @ np.swapaxes(design, 1, 2)
+        gain = cross @ np.linalg.inv(design @ place @ np.swapaxes(design, 1, 2) + noise)
+        rest = _off(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
+        at = expected + np.einsum("kij,kj->ki", gain, rest)
+    left = covariance - gain @ np.swapaxes(cross, 1, 2)
+    return replace(
+        state,
+        weight=(weight / weight.sum())[None, :],
+        mean=at[None],
+        covariance=0.5 * (left + np.swapaxes(left, 1, 2))[None],
+        shared_m2=measured.shared_m2[i : i + 1],
+    )
+
+
+def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bearing and inverse range (N, 2) of places (N, 2), and their derivatives (N, 2, 2)."""
+    east, north = en_m.T
+    range_m = np.maximum(np.hypot(east, north), _NEAREST_M)
+    sight = np.stack([np.arctan2(east, north), 1.0 / range_m], axis=1)
+    squared, cubed = range_m**2, range_m**3
+    rows = np.stack([north / squared, -east / squared, -east / cubed, -north / cubed], axis=1)
+    return sight, rows.reshape(-1, 2, 2)
+
+
+def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
+    off = measured - expected
+    off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi
+    return np.asarray(off)
+
+
+@dataclass(frozen=True)
+class ClosestApproach:
+    """When and how near a target passes the camera or another target, if both go on straight.
+
+    Attributes:
+        time_utc_s: POSIX seconds; not before now, nor after the horizon.
+        in_s: Seconds from now.
+        distance_m: Metres between the two at that time.
+        in_sigma_s: Standard deviation of ``in_s``; zero where it is now or at the horizon,
+            infinite where neither moves.
+        distance_sigma_m: Standard deviation of ``distance_m``.
+    """
+
+    time_utc_s: float
+    in_s: float
+    distance_m: float
+    in_sigma_s: float
+    distance_sigma_m: float
+
+
+def closest_approach(
+    one: MotionState, other: MotionState | None = None, *, horizon_s: float = 600.0
+) -> ClosestApproach:
+    r"""The closest point of approach of a target to the camera, or to another target.
+
+    With relative place :math:`p` and velocity :math:`v` it is at
+    :math:`t = -p \cdot v / v \cdot v`. The standard deviations are of first order: that of the
+    distance is that of the place at :math:`t` along the line between the two, accelerations until
+    then included; those of :math:`t` come from :math:`\partial t / \partial p = -v / v^2` and
+    :math:`\partial t / \partial v = -(p + 2 t v) / v^2`. A distance smaller than its standard
+    deviation says that the two may meet.
+
+    Args:
+        one: One target.
+        other: Another; absent: the camera, at the origin. Now is the later of their times.
+        horizon_s: Later approaches are of no interest: the nearest until then is told.
+
+    Raises:
+        InputError: There is not one state each, they are of different planes, or the horizon is
+            not positive.
+    """
+    if not 0.0 < horizon_s < np.inf:
+        raise InputError(f"horizon_s is {horizon_s:g} s; it must be positive")
+    for state in (one, other):
+        if state is not None and len(state) != 1:
+            raise InputError(f"an approach is of one target to another; these are {len(state)}")
+    now = float(one.time_utc_s[0])
+    if other is not None:
+        if other.plane != one.plane:
+            raise InputError("an approach needs both targets in one plane; theirs differ")
+        now = max(now, float(other.time_utc_s[0]))
+        other = other.ahead(now - float(other.time_utc_s[0]))
+    one = one.ahead(now - float(one.time_utc_s[0]))
+    mean, covariance = (part[0] for part in one.moments())
+    density = float(one.motion.shares @ one.motion.accelerations_m2ps3)
+    if other is not None:
+        # What both share through the camera is left in: it is not known to cancel.
+        their_mean, their_covariance = (part[0] for part in other.moments())
+        mean, covariance = mean - their_mean, covariance + their_covariance
+        density += float(other.motion.shares @ other.motion.accelerations_m2ps3)
+    place, velocity = mean[:2], mean[2:]
+    speed2 = float(velocity @ velocity)
+    moves = speed2 > 1e-12
+    passing = -float(place @ velocity) / speed2 if moves else 0.0
+    in_s = min(max(passing, 0.0), horizon_s)
+    apart = place + in_s * velocity
+    distance = float(np.hypot(*apart))
+    step = np.hstack([np.eye(2), in_s * np.eye(2)])
+    spread = step @ covariance @ step.T + density * in_s**3 / 3.0 * np.eye(2)
+    if distance > 1e-9:
+        along = apart / distance
+    else:
+        # They meet: the distance can only grow across the way that one goes.
+        along = np.array([-velocity[1], velocity[0]]) / np.sqrt(speed2) if moves else np.ones(2)
+    in_sigma = np.inf if not moves else 0.0
+    if moves and in_s == passing:
+        slope = np.concatenate([-velocity, -(place + 2.0 * in_s * velocity)]) / speed2
+        in_sigma = float(np.sqrt(slope @ covariance @ slope))
+    return ClosestApproach(
+        time_utc_s=now + in_s,
+        in_s=in_s,
+        distance_m=distance,
+        in_sigma_s=float(in_sigma),
+        distance_sigma_m=float(np.sqrt(along @ spread @ along)),
+    )
+
+
+def closest_approaches(
+    states: Iterable[MotionState], *, horizon_s: float = 600.0
+) -> dict[tuple[int, int], ClosestApproach]:
+    """The closest point of approach of each of some targets to each other.
+
+    Args:
+        states: One target each.
+        horizon_s: See `closest_approach`.
+
+    Returns:
+        By their places in what was given, the smaller first.
+    """
+    known = list(states)
+    return {
+        (i, j): closest_approach(known[i], known[j], horizon_s=horizon_s)
+        for i in range(len(known))
+        for j in range(i + 1, len(known))
+    }
