@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 
 from sightline.errors import InputError
 from sightline.evaluation.comparison import number, percent
+from sightline.evaluation.forecast import ForecastError
 from sightline.evaluation.report import Report, write_json
 from sightline.pipeline import Progress as Tell
 
@@ -150,4 +151,15 @@ def describe(report: Report, what: str) -> str:
         f"{what}: {ape.n} pairs, RMSE {number(ape.rmse)} m, median {number(ape.median)} m, "
         f"90 % within {number(ape.p90)} m, {percent(ape.per_range)} of the range; "
         f"95 % ellipses hold {percent(cover.p95)}"
+    )
+
+
+def describe_forecast(error: ForecastError, what: str) -> str:
+    """The error of forecasts in a line, beside what the log itself would have foretold."""
+    beside = error.beside_log
+    return (
+        f"{what}: {error.n} pairs, RMSE {number(error.rmse)} m, median {number(error.median)} m, "
+        f"90 % within {number(error.p90)} m; 95 % ellipses hold {percent(error.coverage_p95)}; "
+        f"over {beside.n} moments RMSE {number(beside.rmse)} m, constant velocity from the log's "
+        f"last two fixes {number(beside.log_rmse)} m"
     )

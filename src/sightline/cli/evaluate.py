@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, describe, keep_apart, say
+from sightline.cli.common import JsonOption, describe, describe_forecast, keep_apart, say
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY
@@ -44,6 +44,12 @@ def evaluate(
     delta_s: Annotated[
         float, typer.Option("--delta", help="Time of the relative error, seconds.", min=1e-3)
     ] = 1.0,
+    forecast: Annotated[
+        bool,
+        typer.Option(
+            "--forecast", help="Say how far forecasts over 5, 10, 30 and 60 s are off, too."
+        ),
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Score tracks against a log, or a fitted model against a scene's boxes and logs."""
@@ -61,6 +67,11 @@ def evaluate(
             delta_s=delta_s,
         )
     else:
+        if forecast:
+            raise InputError(
+                "forecasts are scored from a scene's boxes, since tracks are smoothed with what "
+                "came after; give the scene and --model MODEL"
+            )
         if fixes is None:
             raise InputError("tracks are scored against a log; give --fixes LOG")
         plane = load_model(model).plane if model is not None else None
@@ -76,5 +87,8 @@ def evaluate(
         say(f"track {used}, chosen by {report.tracks.chosen_by}")
     else:
         say(describe(report, "trajectories" if smooth else "single boxes"))
+    if forecast and report.forecast is not None:
+        for ahead, error in report.forecast.items():
+            say(describe_forecast(error, f"forecast over {ahead} s"))
     for name, part in report.recordings.items():
         say("  " + describe(part, name))

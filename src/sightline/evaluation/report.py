@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.errors import InputError
+from sightline.evaluation.forecast import ForecastError
 from sightline.evaluation.metrics import (
     DELTA_S,
     AbsoluteError,
@@ -84,6 +85,7 @@ class Report:
         by_range: Error in bins of the true distance from the camera.
         recordings: A report without further recordings for each; may be empty.
         tracks: Which tracks were scored, where tracks were.
+        forecast: Errors of forecasts by the time ahead in seconds, where they were scored.
     """
 
     ape: AbsoluteError
@@ -94,6 +96,7 @@ class Report:
     by_range: tuple[RangeBin, ...]
     recordings: Mapping[str, Report] = field(default_factory=dict)
     tracks: TracksUsed | None = None
+    forecast: Mapping[str, ForecastError] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The report as JSON has it: what is not a finite number is None."""
@@ -113,6 +116,8 @@ class Report:
         }
         if self.tracks is not None:
             out["tracks"] = {**asdict(self.tracks), "used": list(self.tracks.used)}
+        if self.forecast is not None:
+            out["forecast"] = {ahead: asdict(error) for ahead, error in self.forecast.items()}
         plain: dict[str, Any] = without_nan(out)
         return plain
 

@@ -8,6 +8,7 @@ from sightline.pipeline.scoring import (
     leave_one_out,
     place_boxes,
     score,
+    with_forecasts,
 )
 from sightline.pipeline.tracking import (
     DEFAULT_TRAJECTORY,
@@ -34,4 +35,5 @@ __all__ = [
     "score",
     "smooth_boxes",
     "track",
+    "with_forecasts",
 ]

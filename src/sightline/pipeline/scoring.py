@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sightline import formats
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.evaluation.comparison import Comparison
+from sightline.evaluation.forecast import forecast_errors
 from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.metrics import pair_positions, pair_track
 from sightline.evaluation.report import Report, evaluate_tracks, summarise
@@ -28,6 +29,7 @@ from sightline.platform import Platform, moved_positions, north_up
 from sightline.scene import Scene
 from sightline.tracks import Tracks
 from sightline.trajectory import method
+from sightline.trajectory.forecast import MotionState, follow
 from sightline.types import Boxes, Fixes, Track
 
 
@@ -64,7 +66,8 @@ def evaluate(
         if model is None:
             raise InputError("a scene is scored with a model; give the model")
         placed = place_boxes(what, lambda _: model)
-        return score(placed, trajectory if smooth else None, delta_s=delta_s)
+        report = score(placed, trajectory if smooth else None, delta_s=delta_s)
+        return with_forecasts(report, placed)
     if fixes is None:
         raise InputError("tracks are scored against a log; give fixes")
     log = fixes if isinstance(fixes, Fixes) else formats.read_fixes(fixes, mmsi=mmsi)
@@ -108,6 +111,13 @@ class Placed:
             track_id=1,
             platform=self.platform,
         )
+
+    def states(self) -> MotionState | None:
+        """What was known of the target at each box, by that and those before; None if nothing."""
+        positions = self.model.locate(self.boxes.xyxy_px, self.boxes.source)
+        if not positions.known.any():
+            return None
+        return follow(self.boxes.time_utc_s, positions)
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
@@ -162,6 +172,25 @@ def score(
             "the clocks and the log"
         )
     return summarise(parts, delta_s=delta_s)
+
+
+def with_forecasts(report: Report, placed: Sequence[Placed]) -> Report:
+    """A report of placed boxes with the errors of the forecasts made from them.
+
+    Args:
+        report: Of these boxes.
+        placed: Each is taken for one target.
+    """
+    targets = {
+        one.recording: (states, one.fixes)
+        for one in placed
+        if one.recording in report.recordings and (states := one.states()) is not None
+    }
+    parts = {
+        name: replace(part, forecast=forecast_errors([targets[name]] if name in targets else []))
+        for name, part in report.recordings.items()
+    }
+    return replace(report, forecast=forecast_errors(targets.values()), recordings=parts)
 
 
 def leave_one_out(

@@ -61,13 +61,13 @@ class MotionModel:
     """
 
     turn_rate_radps: float = 0.15
-    manner_s: float = 6.0
-    straight_share: float = 0.5
+    manner_s: float = 5.0
+    straight_share: float = 0.55
     straight_s: float = 600.0
     turning_s: float = 60.0
     straight_m2ps3: float = 0.03
     turning_m2ps3: float = 0.1
-    speed_mps: float = 2.5
+    speed_mps: float = 2.0
     lasting_s: float = 0.6
     outlier_gate: float = 3.5
 
