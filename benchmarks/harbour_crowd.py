@@ -59,11 +59,8 @@ def crowd(seed: int) -> Crowd:
     )
     harbour = replace(harbour, piles=harbour.piles + _barges(rng, harbour))
     times = frame_times(rng, harbour.start_utc_s)
-    frames = np.arange(times.size)
     truth = harbour.boxes(times, of="all")
-    noise = BoxNoise(
-        std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="detector"
-    )
+    noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="detector")
     seen = harbour.boxes(times, noise=noise, of="all", seed=1)
     covered = _covered(harbour, seen)
     height = seen.xyxy_px[:, 3] - seen.xyxy_px[:, 1]
@@ -151,7 +148,9 @@ def _clutter(rng: np.random.Generator, harbour: Harbour, times: FloatArray) -> B
         size = 6.0 + 0.12 * (foot - horizon) * rng.uniform(0.3, 1.5, n)
         shape = size[:, None] * rng.uniform(0.5, 1.6, (n, 2))
         x = rng.uniform(0.0, width, n)
-        return np.column_stack([x - 0.5 * shape[:, 0], foot - shape[:, 1], x + 0.5 * shape[:, 0], foot])
+        return np.column_stack(
+            [x - 0.5 * shape[:, 0], foot - shape[:, 1], x + 0.5 * shape[:, 0], foot]
+        )
 
     count = rng.poisson(1.5, times.size)
     frame = [np.repeat(np.arange(times.size), count)]

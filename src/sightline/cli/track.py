@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,7 +14,7 @@ from sightline.cli.common import JsonOption, keep_apart, parse_time, progress, s
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
-from sightline.types import Horizons
+from sightline.types import Horizons, Track
 
 
 def track(
@@ -59,15 +60,27 @@ def track(
         float | None,
         typer.Option("--interval", help="Seconds between points; absent: a point a box."),
     ] = None,
+    forecast_s: Annotated[
+        float | None,
+        typer.Option(
+            "--forecast",
+            metavar="SECONDS",
+            help="Say where each target will be for so long after it was last seen: in files of "
+            "their own beside each FILE, NAME-forecast.",
+        ),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
     """Make smooth tracks of everything in a video, a stream or a table of boxes."""
     output = [*output, *(more or [])]
-    keep_apart([*output, json], [source, model, clock, platform, horizon])
+    ahead = [] if forecast_s is None else [_forecast_path(path) for path in output]
+    keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon])
     fitted = load_model(model)
     if "://" not in source and not Path(source).exists():
         raise InputError(f"{source}: there is no such video, folder or table")
     settings = TrackSettings(trajectory=trajectory, interval_s=interval_s)
+    if forecast_s is not None:
+        settings = replace(settings, forecast_s=forecast_s)
     times = formats.read_clock(clock) if clock is not None else None
     horizons = None
     if horizon is not None:
@@ -80,6 +93,12 @@ def track(
     count, points = 0, 0
     with ExitStack() as stack, progress() as tell:
         writers = [stack.enter_context(formats.track_writer(path)) for path in output]
+        prophets = [stack.enter_context(formats.track_writer(path)) for path in ahead]
+
+        def foretell(forecast: Track) -> None:
+            for writer in prophets:
+                writer.add(forecast)
+
         for made in iter_tracks(
             source,
             fitted,
@@ -90,11 +109,23 @@ def track(
             horizons=horizons,
             settings=settings,
             progress=tell,
+            forecasts=foretell if prophets else None,
         ):
             count, points = count + 1, points + len(made)
             for writer in writers:
                 writer.add(made)
-    write_result(json, {"tracks": count, "points": points, "files": [str(path) for path in output]})
+    written = [str(path) for path in output]
+    result: dict[str, Any] = {"tracks": count, "points": points, "files": written}
+    if ahead:
+        result["forecasts"] = [str(path) for path in ahead]
+    write_result(json, result)
     say(f"{count} tracks, {points} points")
     for path in output:
         say(f"tracks: {path}")
+    for path in ahead:
+        say(f"forecasts: {path}")
+
+
+def _forecast_path(path: Path) -> Path:
+    """Where the forecasts of the tracks in a file go: they are a layer of their own on a map."""
+    return path.with_name(f"{path.stem}-forecast{path.suffix}")

@@ -72,8 +72,7 @@ def score_tracking(truth: Boxes, found: Boxes) -> TrackingScore:
     frames = np.unique(np.concatenate([truth.frame, found.frame]))
     parts = [_by_frame(boxes, frames) for boxes in (truth, found)]
     similarity = [
-        iou(truth.xyxy_px[own], found.xyxy_px[theirs])
-        for own, theirs in zip(*parts, strict=True)
+        iou(truth.xyxy_px[own], found.xyxy_px[theirs]) for own, theirs in zip(*parts, strict=True)
     ]
     return score_identities(
         [truth.track_id[rows] for rows in parts[0]],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,9 +29,11 @@ from sightline.pipeline.boxes import (
     timed,
 )
 from sightline.platform import Platform, moved_track, north_up
-from sightline.tracking import ImageTracker
+from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
+from sightline.trajectory.forecast import MotionState
+from sightline.trajectory.forecast import follow as follow_motion
 from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
 
 DEFAULT_TRAJECTORY = "rts"
@@ -52,6 +54,9 @@ class TrackSettings:
         shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
         longest_s: A track that lasts longer is cut, and goes on under another number, so that a
             source without an end fits into memory.
+        forecast_s: How far ahead a track is forecast after its last position, where forecasts
+            are asked for.
+        forecast_interval_s: Time between the points of a forecast.
     """
 
     trajectory: str = DEFAULT_TRAJECTORY
@@ -59,13 +64,17 @@ class TrackSettings:
     ends_after_s: float = 20.0
     shortest_s: float = 2.0
     longest_s: float = 1800.0
+    forecast_s: float = 60.0
+    forecast_interval_s: float = 5.0
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
         method(self.trajectory)
-        for name in ("ends_after_s", "longest_s"):
+        for name in ("ends_after_s", "longest_s", "forecast_s", "forecast_interval_s"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"{name} must be positive; it is {getattr(self, name):g} s")
+        if not self.forecast_s < np.inf:
+            raise InputError("forecast_s is infinite; give the seconds to look ahead")
         if self.interval_s is not None and not _LEAST_INTERVAL_S <= self.interval_s < np.inf:
             raise InputError(
                 f"interval_s is {self.interval_s:g} s; it must be at least {_LEAST_INTERVAL_S:g} "
@@ -127,8 +136,26 @@ def iter_tracks(
     horizons: Horizons | None = None,
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
+    forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
-    """As `track`, one track at a time, each as soon as its target has gone; memory stays flat."""
+    """As `track`, one track at a time, each as soon as its target has gone; memory stays flat.
+
+    Args:
+        source: See `track`.
+        model: See `track`.
+        detector: See `track`.
+        clock: See `track`.
+        start_utc_s: See `track`.
+        platform: See `track`.
+        horizons: See `track`.
+        settings: See `track`.
+        progress: See `track`.
+        forecasts: Is given the forecast of each track, from its last position on and by its
+            positions alone, as a track of extrapolated points with the same number.
+
+    Raises:
+        InputError: See `track`.
+    """
     settings = settings or TrackSettings()
     smoother = method(settings.trajectory)
     if platform is not None and not isinstance(platform, Platform):
@@ -156,7 +183,7 @@ def iter_tracks(
     where = "" if isinstance(source, Boxes) else f"{source}: "
     with_times = (timed(boxes, clock, model, where) for boxes in batches)
     level = (model.level(boxes, watch.seen if watch else horizons) for boxes in with_times)
-    yield from follow(level, model, smoother, settings, highest_id, platform)
+    yield from follow(level, model, smoother, settings, highest_id, platform, forecasts)
 
 
 def follow(
@@ -166,6 +193,7 @@ def follow(
     settings: TrackSettings,
     highest_id: int = NO_TRACK,
     platform: Platform | None = None,
+    forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
     """The tracks of boxes, each as soon as its target has gone.
 
@@ -177,13 +205,14 @@ def follow(
         highest_id: Of the boxes' track ids; those without one are of no target. `NO_TRACK`: none
             has one, and a tracker gives them.
         platform: What the camera stands on, where that moves.
+        forecasts: See `iter_tracks`.
 
     Raises:
         SeldomError: No target could be followed, since the boxes come too seldom.
     """
     first_s: list[float] = []
     if highest_id == NO_TRACK:
-        batches = _followed(batches, first_s)
+        batches = _followed(batches, first_s, _tracker(model))
     book = _OpenTracks(settings, highest_id)
     count = 0
     for number, boxes in book.ended(batches):
@@ -198,19 +227,50 @@ def follow(
         )
         if made is not None:
             count += 1
+            if forecasts is not None:
+                forecasts(_forecast(boxes, model, settings, made, platform))
             yield made
     if count == 0:
         refuse_seldom(first_s, "boxes")
 
 
-def _followed(batches: Iterator[Boxes], first_s: list[float]) -> Iterator[Boxes]:
+def _tracker(model: Georeferencer) -> Tracker:
+    """On the earth's plane where the model is a camera that stands still.
+
+    The places of other models are too rough, and before a moving camera they are relative to it.
+    """
+    if model.camera is None or model.moving:
+        return ImageTracker()
+    return WorldTracker(model.locate)
+
+
+def _forecast(
+    boxes: Boxes,
+    model: Georeferencer,
+    settings: TrackSettings,
+    track: Track,
+    platform: Platform | None,
+) -> Track:
+    """The forecast of a track from its last position on."""
+    if platform is None:
+        positions = model.locate(boxes.xyxy_px, boxes.source)
+        state = follow_motion(boxes.time_utc_s, positions, track_id=track.track_id)[-1:]
+    else:
+        # What is measured is relative to a camera that moves; the track is not.
+        state = MotionState.of_track(track)
+    step = min(settings.forecast_interval_s, settings.forecast_s)
+    lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
+    return state.forecast(lags, track_id=track.track_id, label=track.label)
+
+
+def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) -> Iterator[Boxes]:
     """Boxes with the ids that a tracker gives them; the boxes of one time after another.
 
     Args:
         batches: In the order of time from one to the next.
         first_s: Is given the first of their times.
+        tracker: Gives the ids.
     """
-    tracker = ImageTracker()
     for boxes in moments(batches):
         if len(first_s) < _LOOKED_AT_BOXES:
             first_s.append(float(boxes.time_utc_s[0]))

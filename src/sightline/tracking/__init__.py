@@ -1,6 +1,17 @@
 """Stage 2: boxes in, boxes with a track id out."""
 
 from sightline.tracking.image import ImageTracker, ImageTrackerSettings, iou
+from sightline.tracking.targets import TargetTracker, TrackerSettings
 from sightline.tracking.tracker import Tracker
+from sightline.tracking.world import WorldTracker, WorldTrackerSettings
 
-__all__ = ["ImageTracker", "ImageTrackerSettings", "Tracker", "iou"]
+__all__ = [
+    "ImageTracker",
+    "ImageTrackerSettings",
+    "TargetTracker",
+    "Tracker",
+    "TrackerSettings",
+    "WorldTracker",
+    "WorldTrackerSettings",
+    "iou",
+]

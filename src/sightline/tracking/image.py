@@ -13,7 +13,7 @@ import numpy as np
 
 from sightline.tracking.plane import Columns
 from sightline.tracking.targets import TargetTracker, TrackerSettings
-from sightline.types import Boxes, FloatArray, IntArray
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 LARGEST_UNLIKE = 2.0 * float(np.log(3.0))
 """A box of three times the width and height is of something else."""
@@ -113,7 +113,10 @@ class ImagePlane:
         }
 
     def candidates(
-        self, state: Columns, silent_s: FloatArray, measured: Columns
+        self,
+        state: Columns,
+        silent_s: FloatArray,  # noqa: ARG002 - the state knows how unsure it has become
+        measured: Columns,
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """See `Plane`."""
         near = self.nearness(state, measured)
@@ -121,17 +124,19 @@ class ImagePlane:
         cost = self.cost(near)[possible]
         return near.target[possible], near.box[possible], cost
 
-    def possible(self, near: Nearness) -> FloatArray:
+    def possible(self, near: Nearness) -> BoolArray:
         """(P,) bool, whether a pair lies inside the gate or overlaps, and is of like size."""
         settings = self._settings
         close = (near.distance <= settings.gate) | (near.overlap >= settings.least_overlap)
-        return close & (near.unlike < LARGEST_UNLIKE)
+        return np.asarray(close & (near.unlike < LARGEST_UNLIKE))
 
     def cost(self, near: Nearness) -> FloatArray:
         """(P,) the lower the likelier."""
         return near.distance / self._settings.gate + (1.0 - near.overlap) + 0.5 * near.unlike
 
-    def nearness(self, state: Columns, measured: Columns, reach: FloatArray | None = None) -> Nearness:
+    def nearness(
+        self, state: Columns, measured: Columns, reach: FloatArray | None = None
+    ) -> Nearness:
         """Pairs of targets and boxes that come near each other.
 
         Args:
@@ -165,7 +170,12 @@ class ImagePlane:
             unlike=np.abs(state["log_size"][i] - measured["log_size"][j]).sum(axis=1),
         )
 
-    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> Columns:
+    def update(
+        self,
+        state: Columns,
+        silent_s: FloatArray,  # noqa: ARG002 - the state knows how unsure it has become
+        measured: Columns,
+    ) -> Columns:
         """See `Plane`."""
         motion, shape = state["motion"], state["shape_variance"]
         gain = motion[:, :, 0] / self._spread_px(state)[:, None] ** 2
@@ -181,7 +191,10 @@ class ImagePlane:
         }
 
     def continuations(
-        self, ended: Columns, silent_s: FloatArray, begun: Columns
+        self,
+        ended: Columns,  # noqa: ARG002 - none is taken up again
+        silent_s: FloatArray,  # noqa: ARG002
+        begun: Columns,  # noqa: ARG002
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """See `Plane`: in the image alone the velocity of a lost target tells too little."""
         nothing = np.empty(0, dtype=np.int64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sightline.types import Boxes, FloatArray, IntArray
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 Columns = dict[str, FloatArray]
 """Columns by name, a row a target or a box: what they are is the affair of the plane."""
@@ -64,6 +64,6 @@ class Plane(Protocol):
         ...
 
 
-def rows(table: Columns, chosen: object) -> Columns:
+def rows(table: Columns, chosen: IntArray | BoolArray) -> Columns:
     """The rows of a table that an index array or a mask selects."""
-    return {name: column[chosen] for name, column in table.items()}  # type: ignore[index]
+    return {name: column[chosen] for name, column in table.items()}

@@ -156,10 +156,14 @@ class TargetTracker:
                 f"the state of a tracker is damaged, or of a tracker in another plane ({error!r}); "
                 "begin without one"
             ) from error
-        sound = first.shape == last.shape == (n,) and np.isfinite([*first, *last]).all()
-        sound = sound and all(np.isfinite(column).all() for column in columns.values())
-        sound = sound and next_id > int(ids.max(initial=0)) and not np.isnan(times).any()
-        if not sound:
+        finite = [*first, *last, *(value for column in columns.values() for value in column.flat)]
+        if (
+            first.shape != (n,)
+            or last.shape != (n,)
+            or not np.isfinite(finite).all()
+            or next_id <= int(ids.max(initial=0))
+            or np.isnan(times).any()
+        ):
             raise InputError(
                 "the state of a tracker is damaged: its columns do not fit together; "
                 "begin without one"
@@ -199,7 +203,10 @@ class TargetTracker:
         confirmed = self._track_id != NO_TRACK
         # Confirmed targets choose first: clutter beside a boat must not take its box.
         for who, which in (
-            (confirmed & ((silent_s <= settings.direct_s) | ~(self._last_s < self._before_s)), sure),
+            (
+                confirmed & ((silent_s <= settings.direct_s) | ~(self._last_s < self._before_s)),
+                sure,
+            ),
             (confirmed & (silent_s <= settings.doubtful_s), doubtful),
             (~confirmed, sure),
         ):

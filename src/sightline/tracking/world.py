@@ -21,16 +21,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.tracking.image import ImagePlane, ImageTrackerSettings
-from sightline.tracking.plane import Columns, rows
+from sightline.tracking.plane import Columns
 from sightline.tracking.targets import TargetTracker
-from sightline.types import Boxes, FloatArray, IntArray, Positions, StrArray
+from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions, StrArray
 
 Locate = Callable[[FloatArray, StrArray], Positions]
 """Where boxes (N, 4) of sources (N,) lie, as `Georeferencer.locate` says it."""
 
 _NEAREST_M = 1.0
 _OWN_SHARE = 0.05
-_UNKNOWN = -1.0
 
 
 @dataclass(frozen=True)
@@ -119,9 +118,7 @@ class WorldPlane:
         """See `Plane`."""
         step = np.eye(4)
         step[0, 2] = step[1, 3] = lag_s
-        noise = np.kron(
-            [[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]], np.eye(2)
-        )
+        noise = np.kron([[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]], np.eye(2))
         return {
             **self._image.predict(state, lag_s),
             "place": state["place"] @ step.T,
@@ -145,9 +142,7 @@ class WorldPlane:
         cost = cost + np.where(both, np.minimum(distance / settings.earth_gate, 3.0), 1.0)
         return i[possible], j[possible], cost[possible]
 
-    def _distance(
-        self, state: Columns, measured: Columns, i: IntArray, j: IntArray
-    ) -> FloatArray:
+    def _distance(self, state: Columns, measured: Columns, i: IntArray, j: IntArray) -> FloatArray:
         """(P,) distance of pairs in bearing and inverse range, in standard deviations."""
         expected, jacobian = _sight(state["place"][:, :2])
         spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
@@ -185,7 +180,10 @@ class WorldPlane:
         }
 
     def continuations(
-        self, ended: Columns, silent_s: FloatArray, begun: Columns
+        self,
+        ended: Columns,
+        silent_s: FloatArray,  # noqa: ARG002 - the state knows how unsure it has become
+        begun: Columns,
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """See `Plane`: place and velocity together."""
         i, j = np.nonzero((ended["placed"][:, None] > 0.0) & (begun["placed"][None, :] > 0.0))
@@ -196,6 +194,25 @@ class WorldPlane:
         distance = np.sqrt(squared)
         near = (distance <= self._settings.stitch_gate) & (unlike <= 1.0)
         return i[near], j[near], (distance + unlike)[near]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Where confirmed targets are now.
+
+    Attributes:
+        time_utc_s: Now, POSIX seconds.
+        track_id: (T,) int64.
+        seen_utc_s: (T,) float64, when each had its last box.
+        mean: (T, 4) float64, metres east and north, and their velocities.
+        covariance: (T, 4, 4) float64, without what all places of a target have in common.
+    """
+
+    time_utc_s: float
+    track_id: IntArray
+    seen_utc_s: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
 
 
 class WorldTracker(TargetTracker):
@@ -214,6 +231,21 @@ class WorldTracker(TargetTracker):
         """
         settings = settings if settings is not None else WorldTrackerSettings()
         super().__init__(WorldPlane(locate, settings), settings)
+
+    def estimates(self) -> Estimates:
+        """Where the confirmed targets that have a place are, lost ones among them.
+
+        `sightline.trajectory.forecast.MotionState.of_moments` moves them all on at once.
+        """
+        state = self._state or self._plane.start(self._plane.measure(Boxes.of([])))
+        chosen = (self._track_id != NO_TRACK) & (state["placed"] > 0.0)
+        return Estimates(
+            time_utc_s=self._time_s,
+            track_id=self._track_id[chosen],
+            seen_utc_s=self._last_s[chosen],
+            mean=state["place"][chosen],
+            covariance=state["doubt"][chosen],
+        )
 
 
 def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:

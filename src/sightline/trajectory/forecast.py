@@ -2,8 +2,8 @@ r"""Where a target will be: its state by what was seen so far, and the same move
 
 A target goes straight, turns left, or turns right, and changes between these after some time. In
 each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest, slowly where
-it goes straight and faster where it turns, under white acceleration: an integrated Ornstein-Uhlenbeck process, which,
-other than constant velocity, stays honest for minutes (Millefiori et al., "Modeling vessel
+it goes straight and faster where it turns, under white acceleration: an integrated
+Ornstein-Uhlenbeck process, which, other than constant velocity, stays honest for minutes (Millefiori et al., "Modeling vessel
 kinematics using a stochastic mean-reverting process for long-term prediction", *IEEE Trans.
 Aerosp. Electron. Syst.* 52(5), 2016). With east and north as one complex number it is
 
@@ -206,14 +206,37 @@ class MotionState:
         covariance[2:, :2] = covariance[:2, 2:].T
         mean = [track.east_m[-1], track.north_m[-1]]
         mean += [track.velocity_east_mps[-1], track.velocity_north_mps[-1]]
-        k = motion.shares.size
+        return cls.of_moments(
+            track.time_utc_s[-1:], np.array([mean]), covariance[None], track.plane, motion
+        )
+
+    @classmethod
+    def of_moments(
+        cls,
+        time_utc_s: FloatArray,
+        mean: FloatArray,
+        covariance: FloatArray,
+        plane: LocalPlane,
+        motion: MotionModel | None = None,
+    ) -> MotionState:
+        """States of which nobody knows in which manner they move: those of a tracker, say.
+
+        Args:
+            time_utc_s: (N,) POSIX seconds.
+            mean: (N, 4) metres east and north, and their velocities.
+            covariance: (N, 4, 4).
+            plane: Where the origin lies on the earth.
+            motion: How targets move.
+        """
+        motion = motion or MotionModel()
+        n, k = len(mean), motion.shares.size
         return cls(
-            time_utc_s=track.time_utc_s[-1:],
-            weight=motion.shares[None, :],
-            mean=np.tile(mean, (1, k, 1)),
-            covariance=np.tile(covariance, (1, k, 1, 1)),
-            shared_m2=np.zeros((1, 2, 2)),
-            plane=track.plane,
+            time_utc_s=np.asarray(time_utc_s, dtype=np.float64),
+            weight=np.tile(motion.shares, (n, 1)),
+            mean=np.repeat(mean[:, None], k, axis=1),
+            covariance=np.repeat(covariance[:, None], k, axis=1),
+            shared_m2=np.zeros((n, 2, 2)),
+            plane=plane,
             motion=motion,
         )
 
@@ -342,9 +365,14 @@ def follow(
             states.append(state)
         else:
             states[-1] = state
-    names = ("time_utc_s", "weight", "mean", "covariance", "shared_m2")
-    return replace(
-        state, **{name: np.concatenate([getattr(one, name) for one in states]) for name in names}
+    return MotionState(
+        time_utc_s=np.concatenate([one.time_utc_s for one in states]),
+        weight=np.concatenate([one.weight for one in states]),
+        mean=np.concatenate([one.mean for one in states]),
+        covariance=np.concatenate([one.covariance for one in states]),
+        shared_m2=np.concatenate([one.shared_m2 for one in states]),
+        plane=positions.plane,
+        motion=motion,
     )
 
 
