@@ -134,30 +134,23 @@ class ImagePlane:
         """(P,) the lower the likelier."""
         return near.distance / self._settings.gate + (1.0 - near.overlap) + 0.5 * near.unlike
 
-    def nearness(
-        self, state: Columns, measured: Columns, reach: FloatArray | None = None
-    ) -> Nearness:
-        """Pairs of targets and boxes that come near each other.
-
-        Args:
-            state: T targets.
-            measured: N boxes.
-            reach: (T,) px, how far from a target boxes are looked for; absent: to the gate, or
-                to where boxes overlap.
-        """
-        settings = self._settings
+    def nearness(self, state: Columns, measured: Columns) -> Nearness:
+        """Pairs of T targets and N boxes within the gate of each other, or that may overlap."""
         spread = self._spread_px(state)
         half = 0.5 * np.exp(state["log_size"])
         half_box = 0.5 * np.exp(measured["log_size"])
-        apart = np.abs(state["centre"][:, None, 0] - measured["centre"][None, :, 0])
-        if reach is None:
-            reach = settings.gate * spread
-        near = apart <= np.maximum(reach[:, None], half[:, None, 0] + half_box[None, :, 0])
-        i, j = np.nonzero(near)
-        apart_y = np.abs(state["centre"][i, 1] - measured["centre"][j, 1])
-        near_y = apart_y <= np.maximum(reach[i], half[i, 1] + half_box[j, 1])
-        i, j = i[near_y], j[near_y]
-        apart_m = np.hypot(apart[i, j], apart_y[near_y])
+        reach = self._settings.gate * spread
+        # Of hundreds of boxes few are near in x: look at those alone.
+        order = np.argsort(measured["centre"][:, 0])
+        x = measured["centre"][order, 0]
+        widest = np.maximum(reach, half[:, 0] + half_box[:, 0].max(initial=0.0))
+        first = np.searchsorted(x, state["centre"][:, 0] - widest, side="left")
+        count = np.searchsorted(x, state["centre"][:, 0] + widest, side="right") - first
+        i = np.repeat(np.arange(count.size), count)
+        j = order[np.arange(i.size) - np.repeat(np.cumsum(count) - count - first, count)]
+        apart = np.abs(state["centre"][i] - measured["centre"][j])
+        near = (apart <= np.maximum(reach[i, None], half[i] + half_box[j])).all(axis=1)
+        i, j, apart = i[near], j[near], apart[near]
         low = np.maximum(state["centre"][i] - half[i], measured["xyxy"][j, :2])
         high = np.minimum(state["centre"][i] + half[i], measured["xyxy"][j, 2:])
         shared = np.maximum(high - low, 0.0).prod(axis=1)
@@ -165,7 +158,7 @@ class ImagePlane:
         return Nearness(
             target=i,
             box=j,
-            distance=apart_m / spread[i],
+            distance=np.hypot(apart[:, 0], apart[:, 1]) / spread[i],
             overlap=shared / (area - shared),
             unlike=np.abs(state["log_size"][i] - measured["log_size"][j]).sum(axis=1),
         )

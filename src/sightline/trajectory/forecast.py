@@ -3,9 +3,10 @@ r"""Where a target will be: its state by what was seen so far, and the same move
 A target goes straight, turns left, or turns right, and changes between these after some time. In
 each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest, slowly where
 it goes straight and faster where it turns, under white acceleration: an integrated
-Ornstein-Uhlenbeck process, which, other than constant velocity, stays honest for minutes (Millefiori et al., "Modeling vessel
-kinematics using a stochastic mean-reverting process for long-term prediction", *IEEE Trans.
-Aerosp. Electron. Syst.* 52(5), 2016). With east and north as one complex number it is
+Ornstein-Uhlenbeck process, which, other than constant velocity, stays honest for minutes
+(Millefiori et al., "Modeling vessel kinematics using a stochastic mean-reverting process for
+long-term prediction", *IEEE Trans. Aerosp. Electron. Syst.* 52(5), 2016). With east and north as
+one complex number it is
 
 .. math:: \dot p = v, \qquad \dot v = -\lambda v + \text{noise}, \qquad
           \lambda = 1 / \tau - i \omega .
