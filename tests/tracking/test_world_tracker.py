@@ -1,0 +1,272 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sightline.errors import InputError
+from sightline.geodesy import LocalPlane
+from sightline.tracking import (
+    ImageTracker,
+    TargetTracker,
+    WorldTracker,
+    WorldTrackerSettings,
+    iou,
+)
+from sightline.types import NO_TRACK, Boxes, FloatArray, Positions, StrArray
+
+HEIGHT_M, FOCAL_PX, HORIZON_PX, CENTRE_PX = 6.0, 1000.0, 200.0, 640.0
+
+
+def locate(boxes: FloatArray, _source: StrArray) -> Positions:
+    """A level camera, and edges good to a pixel; nothing above the horizon has a place."""
+    down = boxes[:, 3] - HORIZON_PX
+    known = down > 3.0
+    down = np.where(known, down, np.nan)
+    north = HEIGHT_M * FOCAL_PX / down
+    sideways = (0.5 * (boxes[:, 0] + boxes[:, 2]) - CENTRE_PX) / FOCAL_PX
+    jacobian = np.zeros((len(boxes), 2, 2))
+    jacobian[:, 0, 0] = north / FOCAL_PX
+    jacobian[:, 0, 1] = -sideways * north / down
+    jacobian[:, 1, 1] = -north / down
+    return Positions(
+        east_m=sideways * north,
+        north_m=north,
+        covariance_m2=jacobian @ np.swapaxes(jacobian, 1, 2),
+        extrapolated=~known,
+        plane=LocalPlane(54.0, 10.0),
+    )
+
+
+def box_of(east: float, north: float, length: float = 8.0, height: float = 3.0) -> list[float]:
+    x, foot = CENTRE_PX + FOCAL_PX * east / north, HORIZON_PX + HEIGHT_M * FOCAL_PX / north
+    half = 0.5 * length * FOCAL_PX / north
+    return [x - half, foot - height * FOCAL_PX / north, x + half, foot]
+
+
+def run(
+    tracker: TargetTracker,
+    times: FloatArray,
+    boats: list[Callable[[float], tuple[float, float]]],
+    seen: Callable[[int, float], bool] = lambda _i, _t: True,
+    noise_px: float = 0.7,
+) -> list[tuple[float, int, int]]:
+    """(time, boat, track) for each box that came out."""
+    rng = np.random.default_rng(0)
+    out = []
+    for frame, time_s in enumerate(times.tolist()):
+        there = [i for i in range(len(boats)) if seen(i, time_s)]
+        if not there:
+            continue
+        xyxy = np.array([box_of(*boats[i](time_s)) for i in there])
+        xyxy = xyxy + rng.normal(0.0, noise_px, xyxy.shape)
+        order = rng.permutation(len(there))
+        given = Boxes.of(xyxy[order], time_utc_s=time_s, frame=frame)
+        owner = {tuple(xyxy[k].tolist()): there[k] for k in range(len(there))}
+        found = tracker.update(given)
+        out += [
+            (time_s, owner[tuple(row)], track)
+            for row, track in zip(found.xyxy_px.tolist(), found.track_id.tolist(), strict=True)
+        ]
+    return out
+
+
+def ids_of(out: list[tuple[float, int, int]], boat: int) -> set[int]:
+    return {track for _, owner, track in out if owner == boat}
+
+
+def irregular(seconds: float) -> FloatArray:
+    """Eight frames a second on average, some of them lost, and a second without any."""
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.05, 0.2, int(12 * seconds)))
+    kept = (rng.random(times.size) > 0.1) & ((times < 4.0) | (times > 5.0))
+    return times[kept & (times < seconds)]
+
+
+@pytest.mark.parametrize("hidden_s", [3.0, 6.0, 10.0])
+def test_an_identity_is_kept_through_an_occlusion_of_seconds(hidden_s: float) -> None:
+    out = run(
+        WorldTracker(locate),
+        irregular(30.0),
+        [lambda t: (-60.0 + 4.0 * t, 110.0), lambda t: (70.0 - 4.0 * t, 160.0)],
+        lambda boat, t: boat == 1 or not 10.0 < t < 10.0 + hidden_s,
+    )
+    assert len(ids_of(out, 0)) == len(ids_of(out, 1)) == 1
+    assert ids_of(out, 0) != ids_of(out, 1)
+
+
+def test_one_that_stopped_being_seen_is_not_taken_up_by_one_that_cannot_be_it() -> None:
+    def second(t: float) -> tuple[float, float]:
+        return (60.0 - 5.0 * (t - 14.0), 60.0)
+
+    out = run(
+        WorldTracker(locate),
+        np.arange(0.0, 25.0, 0.1),
+        [lambda t: (-60.0 + 5.0 * t, 150.0), second],
+        lambda boat, t: t < 10.0 if boat == 0 else t > 14.0,
+    )
+    assert ids_of(out, 0).isdisjoint(ids_of(out, 1))
+
+
+def test_what_is_lost_for_longer_than_the_coast_comes_back_as_another() -> None:
+    out = run(
+        WorldTracker(locate, WorldTrackerSettings(coast_s=4.0)),
+        np.arange(0.0, 25.0, 0.1),
+        [lambda t: (-50.0 + 4.0 * t, 120.0)],
+        lambda _boat, t: not 8.0 < t < 14.0,
+    )
+    assert ids_of(out, 0) == {1, 2}
+
+
+def test_boats_that_pass_each_other_in_the_image_are_told_apart_by_their_ranges() -> None:
+    boats = [lambda t: (-40.0 + 4.0 * t, 80.0), lambda t: (80.0 - 8.0 * t, 160.0)]
+
+    def seen(boat: int, t: float) -> bool:
+        if boat == 0:
+            return True
+        near, far = (box_of(*place(t)) for place in boats)
+        return not (near[0] < 0.5 * (far[0] + far[2]) < near[2])
+
+    out = run(WorldTracker(locate), np.arange(0.0, 20.0, 0.1), boats, seen)
+    assert len(ids_of(out, 0)) == len(ids_of(out, 1)) == 1
+    assert ids_of(out, 0) != ids_of(out, 1)
+
+
+def test_what_has_no_place_is_followed_in_the_image() -> None:
+    tracker = WorldTracker(locate)
+    found = []
+    for i in range(20):
+        gull = [300.0 + 3.0 * i, 60.0, 320.0 + 3.0 * i, 75.0]
+        found.append(tracker.update(Boxes.of([gull], time_utc_s=0.1 * i)))
+    assert {int(i) for boxes in found for i in boxes.track_id} == {1}
+    assert tracker.estimates().track_id.size == 0
+
+
+def test_estimates_follow_the_truth_with_an_honest_covariance() -> None:
+    inside = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        tracker = WorldTracker(locate)
+        speed = rng.uniform(-3.0, 3.0, 2)
+        start = np.array([rng.uniform(-40.0, 40.0), rng.uniform(60.0, 150.0)])
+        for time_s in np.arange(0.0, 12.0, 0.5).tolist():
+            box = np.array(box_of(*(start + time_s * speed)))
+            # Errors of the edges are those that `locate` states.
+            error = rng.normal(0.0, 1.0, 2)
+            tracker.update(
+                Boxes.of([box + np.array([error[0], 0.0, error[0], error[1]])], time_utc_s=time_s)
+            )
+        known = tracker.estimates()
+        off = known.mean[0] - np.concatenate([start + time_s * speed, speed])
+        inside.append(float(off @ np.linalg.solve(known.covariance[0], off)) < 9.488)
+        assert known.track_id.tolist() == [1]
+        assert known.time_utc_s == known.seen_utc_s[0] == time_s
+    assert np.mean(inside) >= 0.9
+
+
+@pytest.mark.parametrize("kind", ["image", "world"])
+def test_doubtful_boxes_go_on_with_a_target_and_begin_none(kind: str) -> None:
+    tracker = ImageTracker() if kind == "image" else WorldTracker(locate)
+    ids = []
+    for i in range(40):
+        boat, clutter = box_of(-20.0 + 0.3 * i, 100.0), box_of(30.0, 60.0)
+        sure = 0.9 if i < 15 or i > 25 else 0.2
+        found = tracker.update(
+            Boxes.of([boat, clutter], time_utc_s=0.1 * i, confidence=[sure, 0.2], label=["b", "c"])
+        )
+        ids += list(zip(found.label.tolist(), found.track_id.tolist(), strict=True))
+    assert set(ids) == {("b", 1)}
+    assert len(ids) >= 35
+
+
+@pytest.mark.parametrize("kind", ["image", "world"])
+def test_a_run_that_is_resumed_gives_the_ids_of_one_that_was_not(kind: str) -> None:
+    def new() -> TargetTracker:
+        return ImageTracker() if kind == "image" else WorldTracker(locate)
+
+    rng = np.random.default_rng(5)
+    moments = []
+    for i in range(120):
+        here = [box_of(-50.0 + 0.4 * i, 90.0), box_of(50.0 - 0.5 * i, 140.0)]
+        if 40 <= i < 75:
+            here = here[1:]
+        noisy = np.array(here) + rng.normal(0.0, 0.5, (len(here), 4))
+        moments.append(Boxes.of(noisy, time_utc_s=1e9 + 0.1 * i, frame=i))
+    whole, first = new(), new()
+    expected = [whole.update(boxes).track_id.tolist() for boxes in moments]
+    got = [first.update(boxes).track_id.tolist() for boxes in moments[:50]]
+    saved = json.dumps(first.state(), allow_nan=False)
+    second = new()
+    second.restore(json.loads(saved))
+    got += [second.update(boxes).track_id.tolist() for boxes in moments[50:]]
+    assert got == expected
+    assert json.loads(json.dumps(new().state(), allow_nan=False)) == new().state()
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda s: s.pop("track_id"),
+        lambda s: s.update(version=99),
+        lambda s: s.update(next_id=1),
+        lambda s: s.update(first_utc_s=[1.0, 2.0, 3.0]),
+        lambda s: s["targets"].pop("place"),
+        lambda s: s["targets"].update(centre=[[1.0, 2.0, 3.0]]),
+        lambda s: s["targets"].update(centre=[["a", "b"]]),
+        lambda s: s["targets"].update(centre=[[float("nan"), 1.0]]),
+        lambda s: s.update(time_utc_s="noon"),
+    ],
+)
+def test_a_damaged_state_is_refused_and_changes_nothing(spoil: Callable[[dict], object]) -> None:
+    tracker = WorldTracker(locate)
+    run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
+    state = json.loads(json.dumps(tracker.state()))
+    spoil(state)
+    before = tracker.state()
+    with pytest.raises(InputError, match="state of a tracker"):
+        tracker.restore(state)
+    assert tracker.state() == before
+
+
+def test_a_state_of_another_plane_is_refused() -> None:
+    tracker = ImageTracker()
+    run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
+    with pytest.raises(InputError, match="another plane"):
+        WorldTracker(locate).restore(tracker.state())
+    with pytest.raises(InputError, match="begin without one"):
+        WorldTracker(locate).restore([])  # type: ignore[arg-type]
+
+
+def test_settings_that_mean_nothing_are_refused() -> None:
+    with pytest.raises(InputError, match="earth_gate is -1"):
+        WorldTrackerSettings(earth_gate=-1.0)
+
+
+def test_the_assignment_is_that_of_the_whole_table() -> None:
+    from scipy.optimize import linear_sum_assignment
+
+    from sightline.tracking.assignment import assign
+
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        n, m = rng.integers(1, 12, 2)
+        possible = rng.random((n, m)) < 0.3
+        cost = rng.random((n, m))
+        i, j = np.nonzero(possible)
+        rows, columns = assign(i, j, cost[i, j], (n, m))
+        assert np.unique(rows).size == rows.size
+        assert np.unique(columns).size == columns.size
+        assert possible[rows, columns].all()
+        table = np.where(possible, cost, 1e6)
+        best = linear_sum_assignment(table)
+        taken = possible[best]
+        assert rows.size == int(taken.sum())
+        assert cost[rows, columns].sum() == pytest.approx(table[best][taken].sum(), abs=1e-9)
+
+
+def test_overlap_is_measured_alike_everywhere() -> None:
+    first, second = np.array([[0.0, 0.0, 2.0, 2.0]]), np.array([[1.0, 1.0, 3.0, 3.0]])
+    assert iou(first, second)[0, 0] == pytest.approx(1.0 / 7.0)
+    assert NO_TRACK == -1
