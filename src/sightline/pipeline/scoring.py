@@ -113,9 +113,13 @@ class Placed:
         )
 
     def states(self) -> MotionState | None:
-        """What was known of the target at each box, by that and those before; None if nothing."""
+        """What was known of the target at each box, by that and those before.
+
+        None where no box has a place, and before a moving camera: what it measures is relative to
+        it, and forecasts are made on the earth.
+        """
         positions = self.model.locate(self.boxes.xyxy_px, self.boxes.source)
-        if not positions.known.any():
+        if self.platform is not None or not positions.known.any():
             return None
         return follow(self.boxes.time_utc_s, positions)
 
