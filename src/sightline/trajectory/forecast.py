@@ -61,7 +61,7 @@ class MotionModel:
             is taken for accordingly less precise.
     """
 
-    turn_rate_radps: float = 0.15
+    turn_rate_radps: float = 0.17
     manner_s: float = 5.0
     straight_share: float = 0.55
     straight_s: float = 600.0
