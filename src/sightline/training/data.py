@@ -1,0 +1,520 @@
+"""What a detector learns from: pictures of a scene with boxes, rendered ones, and cut-out boats."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.formats import _files
+from sightline.scene import Recording, Scene
+from sightline.simulation import Harbour, Renderer
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray
+
+Image = NDArray[np.uint8]
+
+SYNTHETIC = "synthetic"
+"""Recording of rendered pictures."""
+
+_KINDS = {"motorboat": "boat", "ferry": "boat", "dinghy": "boat", "sailboat": "sailboat"}
+"""What the boats of the synthetic harbour count as."""
+
+_PICTURES_A_HARBOUR = 12
+_EMPTY_TABLE = "empty.csv"
+_RING = 0.75
+"""How far around a box its background is known to be empty, in widths and heights of the box."""
+
+_SPRITE_MARGIN = 0.25
+_CONTRAST = 26.0
+_LEAST_ROWS_PX = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture and what is known to be in it.
+
+    Attributes:
+        recording: The recording that it is from.
+        frame: Its number there.
+        image: (H, W, 3) uint8, red, green, blue.
+        boxes_xyxy_px: (M, 4) float32.
+        labels: (M,) int64, positions in the class names.
+        ignore: (M,) bool: regions in which there may be more that nobody labelled.
+        real: False for rendered pictures.
+    """
+
+    recording: str
+    frame: int
+    image: Image
+    boxes_xyxy_px: NDArray[np.float32]
+    labels: IntArray
+    ignore: BoolArray
+    real: bool = True
+
+    @cached_property
+    def digest(self) -> str:
+        """A hash of the picture and of its boxes."""
+        digest = hashlib.sha256(f"{self.recording} {self.frame} {self.image.shape}".encode())
+        for part in (self.image, self.boxes_xyxy_px, self.labels, self.ignore):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        return digest.hexdigest()[:16]
+
+
+@dataclass(frozen=True, eq=False)
+class Sprite:
+    """A boat cut out of its picture.
+
+    Attributes:
+        recording: Where it is from.
+        image: (h, w, 3) uint8, red, green, blue.
+        opacity: (h, w) float32, 0 to 1.
+        box_xyxy_px: (4,) the boat's box in the sprite.
+        waterline_px: Row of the lower edge of the box in the picture that it is from.
+        label: Position in the class names.
+    """
+
+    recording: str
+    image: Image
+    opacity: NDArray[np.float32]
+    box_xyxy_px: FloatArray
+    waterline_px: float
+    label: int
+
+
+@dataclass(frozen=True)
+class Labels:
+    """How boxes become what is learned.
+
+    Attributes:
+        class_names: What is told apart; boxes without a label are of the first class.
+        folder: With tables ``NAME.csv`` of everything in a frame (``frame,x1,y1,x2,y2,label``) and
+            ``empty.csv`` (``recording,frame``) of frames in which there is nothing. None: only the
+            target's boxes of the scene are known, and the rest of a frame is left open.
+        margins_px: By source of boxes, what is added on every side. Annotators differ in how
+            close they draw, and a network that learns from several wants one habit.
+        ignored_names: Labels of things that are neither to be found nor wrong to find.
+    """
+
+    class_names: tuple[str, ...] = ("boat", "sailboat")
+    folder: Path | None = None
+    margins_px: Mapping[str, float] = field(default_factory=dict)
+    ignored_names: tuple[str, ...] = ("ignore",)
+
+
+def scene_pictures(
+    scene: Scene,
+    names: Sequence[str],
+    labels: Labels,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> list[Picture]:
+    """The pictures of some recordings about which something is known.
+
+    Args:
+        scene: The scene.
+        names: Of the recordings.
+        labels: How boxes become what is learned.
+        progress: Called with the share done.
+
+    Raises:
+        InputError: A recording is unknown, cannot be read, or a table of boxes does not fit.
+    """
+    chosen = [scene[name] for name in names]
+    pictures: list[Picture] = []
+    for i, recording in enumerate(chosen):
+        pictures += _recording_pictures(recording, labels)
+        if progress is not None:
+            progress((i + 1) / len(chosen))
+    return pictures
+
+
+def check_split(train: Sequence[Picture], names: Sequence[str], what: str) -> None:
+    """Refuse a part of a split in which nothing is to be found.
+
+    Raises:
+        InputError: There is no box that counts.
+    """
+    if not any(len(picture.labels) and not picture.ignore.all() for picture in train):
+        listed = ", ".join(names) if names else "none"
+        raise InputError(
+            f"the recordings for {what} ({listed}) have no boxes in pictures that exist; name others "
+            f"with --{what}, or add boxes to the scene"
+        )
+
+
+def _recording_pictures(recording: Recording, labels: Labels) -> list[Picture]:
+    drawn = recording.boxes() if recording.boxes_path is not None else None
+    complete, empty = _tables(recording, labels)
+    known: set[int] = set(empty)
+    for table in (drawn, complete):
+        if table is not None:
+            known |= set(table.frame.tolist())
+    if recording.source is None or not known:
+        return []
+    pictures = []
+    for frame in recording.frames():
+        if frame.index not in known:
+            continue
+        image = np.ascontiguousarray(frame.image_bgr[..., ::-1])
+        boxes = _frame_boxes(frame.index, drawn, complete, labels)
+        whole = frame.index in empty or (
+            complete is not None and bool((complete.frame == frame.index).any())
+        )
+        pictures.append(_picture(recording.name, frame.index, image, boxes, whole))
+    return pictures
+
+
+def _tables(recording: Recording, labels: Labels) -> tuple[Boxes | None, set[int]]:
+    """The table of everything of a recording, and its frames without anything."""
+    if labels.folder is None:
+        return None, set()
+    if not labels.folder.is_dir():
+        raise InputError(f"{labels.folder}: is no folder; expected tables of boxes, as 07.csv")
+    path = labels.folder / f"{recording.name}.csv"
+    complete = None
+    if path.exists():
+        rows = next(_files.table(path, required=("frame", "x1", "y1", "x2", "y2"), text=("label",)))
+        corners = np.column_stack([_files.numbers(path, rows[c]) for c in ("x1", "y1", "x2", "y2")])
+
+        def text(column: str) -> list[str] | str:
+            return rows[column].fillna("").astype(str).tolist() if column in rows else ""
+
+        frames = _files.whole_numbers(path, rows["frame"])
+        complete = Boxes.of(corners, frame=frames, source=text("annotator"), label=text("label"))
+    empty_path = labels.folder / _EMPTY_TABLE
+    empty: set[int] = set()
+    if empty_path.exists():
+        for rows in _files.table(empty_path, required=("recording", "frame"), text=("recording",)):
+            own = rows["recording"].str.strip() == recording.name
+            empty |= set(_files.whole_numbers(empty_path, rows["frame"])[own.to_numpy()].tolist())
+    return complete, empty
+
+
+def _frame_boxes(
+    frame: int, drawn: Boxes | None, complete: Boxes | None, labels: Labels
+) -> tuple[FloatArray, IntArray, BoolArray]:
+    """Boxes, labels and whether to ignore, of a frame; several boxes of one boat are one."""
+    position = {name: i for i, name in enumerate(labels.class_names)}
+    corners: list[FloatArray] = []
+    kinds: list[int] = []
+    ignored: list[bool] = []
+    for table in (complete, drawn):
+        if table is None:
+            continue
+        rows = np.flatnonzero(table.frame == frame)
+        for xyxy, source, label in zip(
+            table.xyxy_px[rows], table.source[rows], table.label[rows], strict=True
+        ):
+            ignore = str(label) in labels.ignored_names
+            kind = position.get(str(label) or labels.class_names[0], -1)
+            if kind < 0 and not ignore:
+                # Something else: to be told from what is looked for, so it is background.
+                continue
+            margin = labels.margins_px.get(str(source), 0.0)
+            corners.append(xyxy + np.array([-margin, -margin, margin, margin]))
+            kinds.append(max(kind, 0))
+            ignored.append(ignore)
+    boxes, merged = _merged(np.array(corners, dtype=float).reshape(-1, 4))
+    return (
+        boxes,
+        np.array(kinds, dtype=np.int64)[merged],
+        np.array(ignored, dtype=bool)[merged],
+    )
+
+
+def _merged(corners: FloatArray) -> tuple[FloatArray, IntArray]:
+    """One box for those that are of one boat: their mean, or the larger where one is a part."""
+    used = np.zeros(len(corners), dtype=bool)
+    boxes, first = [], []
+    areas = (corners[:, 2:] - corners[:, :2]).prod(axis=1)
+    for i in np.argsort(-areas, kind="stable"):
+        if used[i]:
+            continue
+        low = np.maximum(corners[:, :2], corners[i, :2])
+        high = np.minimum(corners[:, 2:], corners[i, 2:])
+        shared = np.maximum(high - low, 0.0).prod(axis=1)
+        same = ~used & (shared / (areas + areas[i] - shared) > 0.4)
+        part = ~used & (shared > 0.9 * areas)
+        used |= same | part
+        boxes.append(corners[same].mean(axis=0))
+        first.append(int(i))
+    return np.array(boxes, dtype=float).reshape(-1, 4), np.array(first, dtype=np.int64)
+
+
+def _picture(
+    recording: str,
+    frame: int,
+    image: Image,
+    known: tuple[FloatArray, IntArray, BoolArray],
+    whole: bool,
+    real: bool = True,
+) -> Picture:
+    boxes, labels, ignore = known
+    height, width = image.shape[:2]
+    if not whole:
+        open_regions = _around(boxes, width, height)
+        boxes = np.concatenate([boxes, open_regions])
+        labels = np.concatenate([labels, np.zeros(len(open_regions), dtype=np.int64)])
+        ignore = np.concatenate([ignore, np.ones(len(open_regions), dtype=bool)])
+    boxes = boxes.clip(0.0, [width, height, width, height])
+    kept = ((boxes[:, 2:] - boxes[:, :2]) > 1.0).all(axis=1)
+    return Picture(
+        recording, frame, image, boxes[kept].astype(np.float32), labels[kept], ignore[kept], real
+    )
+
+
+def _around(boxes: FloatArray, width: int, height: int) -> FloatArray:
+    """(4, 4) what lies left of, right of, above and below the boxes and a ring around them."""
+    if not len(boxes):
+        return np.array([[0.0, 0.0, width, height]])
+    x1, y1 = boxes[:, :2].min(axis=0)
+    x2, y2 = boxes[:, 2:].max(axis=0)
+    ring_x, ring_y = _RING * (boxes[:, 2:] - boxes[:, :2]).max(axis=0)
+    x1, x2, y1, y2 = x1 - ring_x, x2 + ring_x, y1 - ring_y, y2 + ring_y
+    return np.array(
+        [
+            [0.0, 0.0, x1, height],
+            [x2, 0.0, width, height],
+            [x1, 0.0, x2, y1],
+            [x1, y2, x2, height],
+        ]
+    )
+
+
+def backgrounds(pictures: Sequence[Picture]) -> list[Picture]:
+    """The median of each recording's pictures, which has no boats that move.
+
+    Args:
+        pictures: Of recordings; rendered ones and recordings with fewer than five are left out.
+
+    Returns:
+        One picture a recording, with nothing in it.
+    """
+    made = []
+    for name in dict.fromkeys(picture.recording for picture in pictures if picture.real):
+        own = [picture for picture in pictures if picture.real and picture.recording == name]
+        if len(own) >= 5:
+            image = _median([picture.image for picture in own])
+            made.append(
+                Picture(
+                    name,
+                    -1,
+                    image,
+                    np.zeros((0, 4), np.float32),
+                    np.zeros(0, np.int64),
+                    np.zeros(0, bool),
+                )
+            )
+    return made
+
+
+def _median(images: list[Image]) -> Image:
+    thinned = images[:: max(1, len(images) // 25)]
+    parts = []
+    # A few rows at a time, so that the stack stays small.
+    for top in range(0, thinned[0].shape[0], 64):
+        stack = np.stack([image[top : top + 64] for image in thinned])
+        parts.append(np.median(stack, axis=0).astype(np.uint8))
+    return np.concatenate(parts)
+
+
+def sprites(pictures: Sequence[Picture]) -> list[Sprite]:
+    """The boats of real pictures, cut out along their difference from the recording's median.
+
+    Boats that touch the picture's border, or another box, are left out.
+    """
+    medians = {picture.recording: picture.image for picture in backgrounds(pictures)}
+    found = []
+    for picture in pictures:
+        background = medians.get(picture.recording)
+        if background is None or not picture.real:
+            continue
+        height, width = picture.image.shape[:2]
+        boxes = picture.boxes_xyxy_px[~picture.ignore]
+        labels = picture.labels[~picture.ignore]
+        for i, (x1, y1, x2, y2) in enumerate(boxes.astype(float)):
+            inside = x1 > 2 and y1 > 2 and x2 < width - 2 and y2 < height - 2
+            others = np.delete(boxes, i, axis=0)
+            touches = (
+                (others[:, 0] < x2)
+                & (others[:, 2] > x1)
+                & (others[:, 1] < y2)
+                & (others[:, 3] > y1)
+            ).any()
+            if not inside or touches:
+                continue
+            sprite = _cut(picture, background, np.array([x1, y1, x2, y2]), int(labels[i]))
+            if sprite is not None:
+                found.append(sprite)
+    return found
+
+
+def _cut(picture: Picture, background: Image, box: FloatArray, label: int) -> Sprite | None:
+    height, width = picture.image.shape[:2]
+    margin = np.maximum(4.0, _SPRITE_MARGIN * (box[2:] - box[:2]))
+    low = np.floor(np.maximum(box[:2] - margin, 0.0)).astype(int)
+    high = np.ceil(np.minimum(box[2:] + margin, [width, height])).astype(int)
+    window = (slice(low[1], high[1]), slice(low[0], high[0]))
+    image = picture.image[window]
+    own = box - np.tile(low, 2)
+    contrast = cv2.absdiff(image, background[window]).max(axis=2).astype(np.float32)
+    contrast = np.asarray(cv2.GaussianBlur(contrast, (0, 0), 1.0))
+    solid = (contrast > _CONTRAST).astype(np.uint8)
+    solid = np.asarray(cv2.morphologyEx(solid, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)))
+    x = np.arange(image.shape[1]) + 0.5
+    y = np.arange(image.shape[0]) + 0.5
+    # Nothing of the neighbourhood comes along: opacity falls off outside the box.
+    reach = 0.5 * margin
+    across = np.clip(1.0 - np.maximum(own[0] - x, x - own[2]) / reach[0], 0.0, 1.0)
+    along = np.clip(1.0 - np.maximum(own[1] - y, y - own[3]) / reach[1], 0.0, 1.0)
+    inside = solid[int(own[1]) : int(own[3]) + 1, int(own[0]) : int(own[2]) + 1]
+    if inside.mean() < 0.12:
+        return None
+    solid = np.asarray(cv2.dilate(solid, np.ones((3, 3), np.uint8)))
+    soft = np.asarray(cv2.GaussianBlur(solid.astype(np.float32), (0, 0), 0.9))
+    opacity = (soft * across[None, :] * along[:, None]).astype(np.float32)
+    return Sprite(picture.recording, image.copy(), opacity, own, float(box[3]), label)
+
+
+def vanishing_row_px(pictures: Sequence[Picture]) -> float | None:
+    """The row where boats would be without size: heights grow about in proportion from there.
+
+    Returns:
+        None where the boxes do not tell.
+    """
+    chosen = [p.boxes_xyxy_px[~p.ignore & (p.labels == 0)] for p in pictures if p.real]
+    boxes = np.concatenate([np.zeros((0, 4), np.float32), *chosen]).astype(float)
+    if len(boxes) < 8 or np.ptp(boxes[:, 3]) < _LEAST_ROWS_PX:
+        return None
+    heights, rows = boxes[:, 3] - boxes[:, 1], boxes[:, 3]
+    if np.corrcoef(heights, rows)[0, 1] < 0.3:
+        return None
+    # Both are noisy, so the line is the reduced major axis.
+    return float(rows.mean() - rows.std() / heights.std() * heights.mean())
+
+
+def synthetic_pictures(
+    count: int,
+    seed: int,
+    labels: Labels,
+    *,
+    image_size_px: tuple[int, int] = (1280, 720),
+    progress: Callable[[float], None] | None = None,
+) -> list[Picture]:
+    """Pictures of several synthetic harbours with every boat's exact box.
+
+    Args:
+        count: How many.
+        seed: The same seed gives the same pictures.
+        labels: Class names and margins; the source of the boxes is ``"truth"``.
+        image_size_px: Width and height.
+        progress: Called with the share done.
+    """
+    position = {name: i for i, name in enumerate(labels.class_names)}
+    margin = labels.margins_px.get("truth", 0.0)
+    made: list[Picture] = []
+    rng = np.random.default_rng([seed, 11])
+    while len(made) < count:
+        harbour = Harbour.random(
+            int(rng.integers(2**31)),
+            duration_s=240.0,
+            image_size_px=image_size_px,
+            motorboats=int(rng.integers(1, 6)),
+            sailboats=int(rng.integers(0, 7)),
+            ferries=int(rng.integers(0, 2)),
+            anchored=int(rng.integers(0, 4)),
+            gulls=int(rng.integers(0, 10)),
+        )
+        renderer = Renderer(harbour)
+        times = harbour.start_utc_s + np.linspace(1.0, 239.0, _PICTURES_A_HARBOUR)
+        for time_utc_s in times[: count - len(made)]:
+            image = np.ascontiguousarray(renderer.image(float(time_utc_s))[..., ::-1])
+            seen = harbour.boxes([time_utc_s], of="all")
+            kinds = [_KINDS[str(label)] for label in seen.label]
+            numbers = np.array([position.get(kind, -1) for kind in kinds], dtype=np.int64)
+            boxes = seen.xyxy_px + np.array([-margin, -margin, margin, margin])
+            hidden = [
+                harbour.outlines_px(boat, [time_utc_s])[0]
+                for boat in harbour.boats
+                if boat.identity not in seen.track_id
+            ]
+            hidden_boxes = np.array(hidden, dtype=float).reshape(-1, 4)
+            hidden_boxes = hidden_boxes[np.isfinite(hidden_boxes).all(axis=1)]
+            known = numbers >= 0
+            made.append(
+                _picture(
+                    SYNTHETIC,
+                    len(made),
+                    image,
+                    (
+                        np.concatenate([boxes[known], hidden_boxes]),
+                        np.concatenate(
+                            [numbers[known], np.zeros(len(hidden_boxes), dtype=np.int64)]
+                        ),
+                        np.concatenate(
+                            [np.zeros(int(known.sum()), bool), np.ones(len(hidden_boxes), bool)]
+                        ),
+                    ),
+                    whole=True,
+                    real=False,
+                )
+            )
+            if progress is not None:
+                progress(len(made) / count)
+    return made
+
+
+def digest(pictures: Sequence[Picture]) -> dict[str, Any]:
+    """How many pictures and boxes there are, and a hash of them all, by recording."""
+    result: dict[str, Any] = {}
+    for name in dict.fromkeys(picture.recording for picture in pictures):
+        own = [picture for picture in pictures if picture.recording == name]
+        joined = hashlib.sha256("".join(picture.digest for picture in own).encode())
+        result[name] = {
+            "pictures": len(own),
+            "boxes": int(sum((~picture.ignore).sum() for picture in own)),
+            "sha256": joined.hexdigest(),
+        }
+    return result
+
+
+def parse_margins(texts: Sequence[str]) -> dict[str, float]:
+    """Margins from ``SOURCE=PX``.
+
+    Raises:
+        InputError: A text is of another form.
+    """
+    margins = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            margins[name] = float(value)
+        except ValueError as error:
+            raise InputError(
+                f"--margin {text!r}: expected SOURCE=PX, for example voc=-3"
+            ) from error
+    return margins
+
+
+__all__ = [
+    "SYNTHETIC",
+    "Labels",
+    "Picture",
+    "Sprite",
+    "backgrounds",
+    "check_split",
+    "digest",
+    "parse_margins",
+    "scene_pictures",
+    "sprites",
+    "synthetic_pictures",
+    "vanishing_row_px",
+]

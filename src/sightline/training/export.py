@@ -1,0 +1,182 @@
+"""A trained network as an ONNX file that says what it is, checked against the network."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import torch
+from torch import nn
+
+from sightline.errors import SightlineError
+from sightline.formats import _extras
+from sightline.formats.atomic import atomic_path
+from sightline.training.architecture import ExportInfo, Trainable
+
+OPSET = 17
+"""Of the graph: what every ONNX Runtime of the last years reads."""
+
+TOLERANCE = 1e-4
+"""Largest difference between file and network, absolute where values are below 1, else relative."""
+
+_FORMAT = 1
+
+
+class ExportError(SightlineError):
+    """A file whose outputs are not those of the network that it was made from."""
+
+
+def export_onnx(
+    trainable: Trainable,
+    path: Path,
+    *,
+    size_px: tuple[int, int] = (640, 384),
+    default_classes: tuple[str, ...] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> float:
+    """Write a network, and check the file.
+
+    Args:
+        trainable: The network; goes to evaluation mode, on the CPU.
+        path: The file.
+        size_px: Width and height of the picture that it is traced with.
+        default_classes: What is looked for when nobody says; absent: the first class.
+        about: More for the metadata.
+
+    Returns:
+        The largest difference that the check found.
+
+    Raises:
+        ExportError: It was more than `TOLERANCE`.
+        InputError: The file cannot be written.
+    """
+    onnx = _extras.module("onnx", "train")
+    trainable.module.to("cpu").eval()
+    module, info = trainable.export_module()
+    module.eval()
+    width, height = info.input_size_px or size_px
+    stride = info.input_format.stride
+    shape = (1, 3, -(-height // stride) * stride, -(-width // stride) * stride)
+    content = _metadata(trainable, info, shape, default_classes) | dict(about or {})
+    with atomic_path(path) as temporary:
+        with warnings.catch_warnings(), torch.no_grad():
+            # Tracing warns of every shape that becomes a constant; the check below finds those
+            # that must not.
+            warnings.simplefilter("ignore")
+            torch.onnx.export(
+                module,
+                (_noise(shape, info, 0),),
+                str(temporary),
+                input_names=list(info.input_names),
+                output_names=list(info.output_names),
+                dynamic_axes=_dynamic_axes(module, shape, info),
+                opset_version=OPSET,
+                dynamo=False,
+            )
+        model = onnx.load(str(temporary))
+        model.metadata_props.add(key="sightline", value=json.dumps(content))
+        onnx.save(model, str(temporary))
+        onnx.checker.check_model(str(temporary))
+        difference = _difference(module, temporary, shape, info)
+        if not difference <= TOLERANCE:
+            raise ExportError(
+                f"{path}: the exported network differs by {difference:.2g} from the trained one, "
+                f"more than {TOLERANCE:g}; it was not written"
+            )
+    return difference
+
+
+def _metadata(
+    trainable: Trainable,
+    info: ExportInfo,
+    shape: tuple[int, ...],
+    default_classes: tuple[str, ...] | None,
+) -> dict[str, Any]:
+    given = info.input_format.to_dict()
+    if not info.dynamic_size:
+        given["size"] = [shape[3], shape[2]]
+    content: dict[str, Any] = {
+        "format": _FORMAT,
+        "decoder": info.decoder,
+        "architecture": trainable.name,
+        "classes": list(trainable.class_names),
+        "default_classes": list(default_classes or trainable.class_names[:1]),
+        "input": given,
+        "score_threshold": info.score_threshold,
+    }
+    if info.views:
+        content["views"] = dict(info.views)
+    return content | dict(info.extra)
+
+
+def _dynamic_axes(
+    module: nn.Module, shape: tuple[int, ...], info: ExportInfo
+) -> dict[str, dict[int, str]]:
+    """The axes of the picture that may vary, and those of the outputs that vary with them."""
+    axes: dict[str, dict[int, str]] = {info.input_names[0]: {}}
+    picture = axes[info.input_names[0]]
+    if info.dynamic_batch:
+        picture[0] = "batch"
+    if info.dynamic_size:
+        picture |= {2: "height", 3: "width"}
+    stride = info.input_format.stride
+    larger = (
+        shape[0] + info.dynamic_batch,
+        shape[1],
+        shape[2] + stride * info.dynamic_size,
+        shape[3] + 2 * stride * info.dynamic_size,
+    )
+    with torch.no_grad():
+        before, after = (
+            _several(module(_noise(one, info, 0))) for one in (shape, larger)
+        )
+    for name, small, large in zip(info.output_names, before, after, strict=True):
+        differing = [i for i in range(small.ndim) if small.shape[i] != large.shape[i]]
+        axes[name] = {
+            i: "batch" if i == 0 and info.dynamic_batch else f"{name}_{i}" for i in differing
+        }
+    return {name: named for name, named in axes.items() if named}
+
+
+def _several(outputs: Any) -> tuple[torch.Tensor, ...]:
+    return tuple(outputs) if isinstance(outputs, tuple | list) else (outputs,)
+
+
+def _noise(shape: tuple[int, ...], info: ExportInfo, seed: int) -> torch.Tensor:
+    """A picture of noise as the network wants it."""
+    generator = torch.Generator().manual_seed(seed)
+    pixels = torch.rand(shape, generator=generator)
+    smooth = nn.functional.avg_pool2d(pixels, 9, 1, 4)
+    pixels = (0.5 * pixels + 2.0 * (smooth - 0.375)).clamp(0.0, 1.0)
+    given = info.input_format
+    mean = torch.tensor(given.mean).view(1, 3, 1, 1)
+    std = torch.tensor(given.std).view(1, 3, 1, 1)
+    return (pixels * 255.0 * given.scale - mean) / std
+
+
+def _difference(module: nn.Module, path: Path, shape: tuple[int, ...], info: ExportInfo) -> float:
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    stride = info.input_format.stride
+    shapes = [shape]
+    if info.dynamic_size:
+        shapes.append((1, 3, shape[2] + stride, shape[3] + 2 * stride))
+    if info.dynamic_batch:
+        shapes.append((2, *shapes[-1][1:]))
+    worst = 0.0
+    for seed, one in enumerate(shapes):
+        picture = _noise(one, info, seed + 1)
+        with torch.no_grad():
+            wanted = _several(module(picture))
+        given = session.run(None, {info.input_names[0]: picture.numpy()})
+        for ours, theirs in zip(wanted, given, strict=True):
+            expected = ours.double().numpy()
+            if expected.shape != theirs.shape:
+                return float("inf")
+            error = np.abs(expected - theirs) / np.maximum(np.abs(expected), 1.0)
+            worst = max(worst, float(error.max(initial=0.0)))
+    return worst
