@@ -463,7 +463,7 @@ def _clipped(
     inside[:, [1, 3]] = inside[:, [1, 3]].clip(low[1], high[1])
     sides = inside[:, 2:] - inside[:, :2]
     full = np.maximum((corners[:, 2:] - corners[:, :2]).prod(axis=1), 1e-9)
-    kept = (sides > 0.5).all(axis=1)
+    kept = (sides > 0.0).all(axis=1)
     doubtful = (sides.prod(axis=1) / full < _LEAST_SHARE) | (sides < smallest_px).any(axis=1)
     return _Boxes(inside[kept], boxes.labels[kept], (boxes.ignore | doubtful)[kept])
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files
+from sightline.formats.boxes_csv import usable
 from sightline.scene import Recording, Scene
 from sightline.simulation import Harbour, Renderer
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
@@ -90,22 +91,47 @@ class Sprite:
 
 
 @dataclass(frozen=True)
+class Margin:
+    """What is added on every side of a box.
+
+    Attributes:
+        px: Pixels.
+        share: And this share of the box's height.
+    """
+
+    px: float = 0.0
+    share: float = 0.0
+
+    def widened(self, xyxy_px: FloatArray) -> FloatArray:
+        """(..., 4) boxes with the margin."""
+        margin = self.px + self.share * (xyxy_px[..., 3:] - xyxy_px[..., 1:2])
+        return np.asarray(xyxy_px + margin * np.array([-1.0, -1.0, 1.0, 1.0]))
+
+    def __str__(self) -> str:
+        return f"{self.px:g}+{100.0 * self.share:g}%"
+
+
+@dataclass(frozen=True)
 class Labels:
     """How boxes become what is learned.
 
     Attributes:
         class_names: What is told apart; boxes without a label are of the first class.
-        folder: With tables ``NAME.csv`` of everything in a frame (``frame,x1,y1,x2,y2,label``) and
-            ``empty.csv`` (``recording,frame``) of frames in which there is nothing. None: only the
-            target's boxes of the scene are known, and the rest of a frame is left open.
-        margins_px: By source of boxes, what is added on every side. Annotators differ in how
-            close they draw, and a network that learns from several wants one habit.
+        folders: With tables ``NAME.csv`` (``frame,x1,y1,x2,y2`` and, where they are known,
+            ``annotator`` and ``label``) and ``empty.csv`` (``recording,frame``) of frames in which
+            there is nothing. Where they name a frame, the scene's own boxes of it are not used.
+        complete: Whether the tables name all that is to be seen in their frames. If not, and in
+            frames of which only the scene's boxes are known, only the boxes and a ring around each
+            are learned from, and the rest is left open.
+        margins: By source of boxes, what is added on every side. Annotators differ in how close
+            they draw, and a network that learns from several wants one habit.
         ignored_names: Labels of things that are neither to be found nor wrong to find.
     """
 
     class_names: tuple[str, ...] = ("boat", "sailboat")
-    folder: Path | None = None
-    margins_px: Mapping[str, float] = field(default_factory=dict)
+    folders: tuple[Path, ...] = ()
+    complete: bool = True
+    margins: Mapping[str, Margin] = field(default_factory=dict)
     ignored_names: tuple[str, ...] = ("ignore",)
 
 
@@ -152,11 +178,9 @@ def check_split(train: Sequence[Picture], names: Sequence[str], what: str) -> No
 
 def _recording_pictures(recording: Recording, labels: Labels) -> list[Picture]:
     drawn = recording.boxes() if recording.boxes_path is not None else None
-    complete, empty = _tables(recording, labels)
-    known: set[int] = set(empty)
-    for table in (drawn, complete):
-        if table is not None:
-            known |= set(table.frame.tolist())
+    tables, empty = _tables(recording, labels)
+    named = empty.union(*(table.frame.tolist() for table in tables))
+    known = named.union([] if drawn is None else drawn.frame.tolist())
     if recording.source is None or not known:
         return []
     pictures = []
@@ -164,51 +188,64 @@ def _recording_pictures(recording: Recording, labels: Labels) -> list[Picture]:
         if frame.index not in known:
             continue
         image = np.ascontiguousarray(frame.image_bgr[..., ::-1])
-        boxes = _frame_boxes(frame.index, drawn, complete, labels)
-        whole = frame.index in empty or (
-            complete is not None and bool((complete.frame == frame.index).any())
-        )
-        pictures.append(_picture(recording.name, frame.index, image, boxes, whole))
+        own = tables if frame.index in named else [drawn] if drawn is not None else []
+        boxes = _frame_boxes(frame.index, own, labels)
+        whole = labels.complete and frame.index in named
+        if whole or len(boxes[0]):
+            pictures.append(_picture(recording.name, frame.index, image, boxes, whole))
     return pictures
 
 
-def _tables(recording: Recording, labels: Labels) -> tuple[Boxes | None, set[int]]:
-    """The table of everything of a recording, and its frames without anything."""
-    if labels.folder is None:
-        return None, set()
-    if not labels.folder.is_dir():
-        raise InputError(f"{labels.folder}: is no folder; expected tables of boxes, as 07.csv")
-    path = labels.folder / f"{recording.name}.csv"
-    complete = None
-    if path.exists():
-        rows = next(_files.table(path, required=("frame", "x1", "y1", "x2", "y2"), text=("label",)))
-        corners = np.column_stack([_files.numbers(path, rows[c]) for c in ("x1", "y1", "x2", "y2")])
-
-        def text(column: str) -> list[str] | str:
-            return rows[column].fillna("").astype(str).tolist() if column in rows else ""
-
-        frames = _files.whole_numbers(path, rows["frame"])
-        complete = Boxes.of(corners, frame=frames, source=text("annotator"), label=text("label"))
-    empty_path = labels.folder / _EMPTY_TABLE
+def _tables(recording: Recording, labels: Labels) -> tuple[list[Boxes], set[int]]:
+    """The tables of a recording, and its frames without anything."""
+    tables: list[Boxes] = []
     empty: set[int] = set()
-    if empty_path.exists():
-        for rows in _files.table(empty_path, required=("recording", "frame"), text=("recording",)):
-            own = rows["recording"].str.strip() == recording.name
-            empty |= set(_files.whole_numbers(empty_path, rows["frame"])[own.to_numpy()].tolist())
-    return complete, empty
+    for folder in labels.folders:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: is no folder; expected one with tables of boxes, as 07.csv")
+        # The tables may lie in a folder of their own, beside the list of empty frames.
+        inner = folder / "boxes" if (folder / "boxes").is_dir() else folder
+        path = inner / f"{recording.name}.csv"
+        if path.exists():
+            tables.append(_table(path))
+        empty |= _empty_frames(folder / _EMPTY_TABLE, recording.name)
+    return tables, empty
+
+
+def _table(path: Path) -> Boxes:
+    corners = ("x1", "y1", "x2", "y2")
+    rows = next(_files.table(path, required=("frame", *corners), text=("annotator", "label")))
+    if not len(rows):
+        raise InputError(f"{path}: has a header and no boxes; add some, or remove the file")
+    xyxy_px = np.column_stack([_files.numbers(path, rows[name]) for name in corners])
+    usable(path, rows.index, xyxy_px, skip_empty=False)
+
+    def text(column: str) -> list[str] | str:
+        return rows[column].fillna("").astype(str).str.strip().tolist() if column in rows else ""
+
+    frames = _files.whole_numbers(path, rows["frame"])
+    return Boxes.of(xyxy_px, frame=frames, source=text("annotator"), label=text("label"))
+
+
+def _empty_frames(path: Path, name: str) -> set[int]:
+    if not path.exists():
+        return set()
+    found: set[int] = set()
+    for rows in _files.table(path, required=("recording", "frame"), text=("recording",)):
+        own = (rows["recording"].str.strip() == name).to_numpy()
+        found |= set(_files.whole_numbers(path, rows["frame"])[own].tolist())
+    return found
 
 
 def _frame_boxes(
-    frame: int, drawn: Boxes | None, complete: Boxes | None, labels: Labels
+    frame: int, tables: Sequence[Boxes], labels: Labels
 ) -> tuple[FloatArray, IntArray, BoolArray]:
     """Boxes, labels and whether to ignore, of a frame; several boxes of one boat are one."""
     position = {name: i for i, name in enumerate(labels.class_names)}
     corners: list[FloatArray] = []
     kinds: list[int] = []
     ignored: list[bool] = []
-    for table in (complete, drawn):
-        if table is None:
-            continue
+    for table in tables:
         rows = np.flatnonzero(table.frame == frame)
         for xyxy, source, label in zip(
             table.xyxy_px[rows], table.source[rows], table.label[rows], strict=True
@@ -218,15 +255,16 @@ def _frame_boxes(
             if kind < 0 and not ignore:
                 # Something else: to be told from what is looked for, so it is background.
                 continue
-            margin = labels.margins_px.get(str(source), 0.0)
-            corners.append(xyxy + np.array([-margin, -margin, margin, margin]))
+            corners.append(labels.margins.get(str(source), Margin()).widened(xyxy))
             kinds.append(max(kind, 0))
             ignored.append(ignore)
-    boxes, merged = _merged(np.array(corners, dtype=float).reshape(-1, 4))
+    boxes = np.array(corners, dtype=float).reshape(-1, 4)
+    kind_of, open_ones = np.array(kinds, dtype=np.int64), np.array(ignored, dtype=bool)
+    merged_boxes, merged = _merged(boxes[~open_ones])
     return (
-        boxes,
-        np.array(kinds, dtype=np.int64)[merged],
-        np.array(ignored, dtype=bool)[merged],
+        np.concatenate([merged_boxes, boxes[open_ones]]),
+        np.concatenate([kind_of[~open_ones][merged], kind_of[open_ones]]),
+        np.concatenate([np.zeros(len(merged), bool), open_ones[open_ones]]),
     )
 
 
@@ -260,7 +298,7 @@ def _picture(
     boxes, labels, ignore = known
     height, width = image.shape[:2]
     if not whole:
-        open_regions = _around(boxes, width, height)
+        open_regions = _around(boxes[~ignore], width, height)
         boxes = np.concatenate([boxes, open_regions])
         labels = np.concatenate([labels, np.zeros(len(open_regions), dtype=np.int64)])
         ignore = np.concatenate([ignore, np.ones(len(open_regions), dtype=bool)])
@@ -419,7 +457,7 @@ def synthetic_pictures(
         progress: Called with the share done.
     """
     position = {name: i for i, name in enumerate(labels.class_names)}
-    margin = labels.margins_px.get("truth", 0.0)
+    margin = labels.margins.get("truth", Margin())
     made: list[Picture] = []
     rng = np.random.default_rng([seed, 11])
     while len(made) < count:
@@ -440,7 +478,7 @@ def synthetic_pictures(
             seen = harbour.boxes([time_utc_s], of="all")
             kinds = [_KINDS[str(label)] for label in seen.label]
             numbers = np.array([position.get(kind, -1) for kind in kinds], dtype=np.int64)
-            boxes = seen.xyxy_px + np.array([-margin, -margin, margin, margin])
+            boxes = margin.widened(seen.xyxy_px)
             hidden = [
                 harbour.outlines_px(boat, [time_utc_s])[0]
                 for boat in harbour.boats
@@ -486,8 +524,8 @@ def digest(pictures: Sequence[Picture]) -> dict[str, Any]:
     return result
 
 
-def parse_margins(texts: Sequence[str]) -> dict[str, float]:
-    """Margins from ``SOURCE=PX``.
+def parse_margins(texts: Sequence[str]) -> dict[str, Margin]:
+    """Margins from ``SOURCE=PX`` or ``SOURCE=PX+SHARE%``.
 
     Raises:
         InputError: A text is of another form.
@@ -495,11 +533,14 @@ def parse_margins(texts: Sequence[str]) -> dict[str, float]:
     margins = {}
     for text in texts:
         name, _, value = text.partition("=")
+        pixels, plus, share = value.partition("+")
         try:
-            margins[name] = float(value)
+            percent = float(share.removesuffix("%")) if plus else 0.0
+            margins[name] = Margin(float(pixels), percent / 100.0)
         except ValueError as error:
             raise InputError(
-                f"--margin {text!r}: expected SOURCE=PX, for example voc=-3"
+                f"--margin {text!r}: expected SOURCE=PX or SOURCE=PX+PERCENT%, for example voc=-3 "
+                "or eye=1+20%"
             ) from error
     return margins
 
@@ -507,6 +548,7 @@ def parse_margins(texts: Sequence[str]) -> dict[str, float]:
 __all__ = [
     "SYNTHETIC",
     "Labels",
+    "Margin",
     "Picture",
     "Sprite",
     "backgrounds",

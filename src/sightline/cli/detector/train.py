@@ -1,0 +1,225 @@
+"""`sightline detector train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import (
+    JsonOption,
+    SeedOption,
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
+from sightline.errors import InputError, unknown_name
+from sightline.formats import _extras
+from sightline.scene import Scene
+from sightline.training.architecture import ARCHITECTURES
+
+
+def train(
+    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    arch: Annotated[str, typer.Option("--arch", help=f"{', '.join(ARCHITECTURES)}.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            file_okay=False,
+            help="Where weights, history and the ONNX file go. A run that was stopped goes on.",
+        ),
+    ],
+    train: Annotated[
+        str, typer.Option(help="Recordings to learn from, with commas; absent: all others.")
+    ] = "",
+    validation: Annotated[
+        str, typer.Option(help="Recordings that choose the best weights, with commas.")
+    ] = "",
+    labels: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DIR",
+            help="Tables NAME.csv of boxes, and empty.csv of frames without anything, instead of "
+            "the scene's boxes in their frames. May be given several times.",
+        ),
+    ] = None,
+    complete: Annotated[
+        bool,
+        typer.Option(
+            "--complete/--target-only",
+            help="Whether these tables name all that is to be seen in their frames.",
+        ),
+    ] = True,
+    classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = (
+        "boat,sailboat"
+    ),
+    margin: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SOURCE=PX[+SHARE%]",
+            help="Added on every side of the boxes of an annotator, whose habit it evens out: "
+            "pixels, and a share of the box's height. May be given several times.",
+        ),
+    ] = None,
+    synthetic: Annotated[
+        int, typer.Option(help="Pictures of the synthetic harbour to learn from as well.")
+    ] = 0,
+    steps: Annotated[int, typer.Option(help="Batches to learn from.")] = 6000,
+    batch: Annotated[int, typer.Option(help="Crops in a batch.")] = 16,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Of a crop, px.")] = "320x192",
+    scales: Annotated[
+        str, typer.Option(metavar="LOW-HIGH", help="Of the crops; 1 is the picture's own.")
+    ] = "0.2-1.5",
+    rate: Annotated[float, typer.Option(help="The highest learning rate.")] = 2e-3,
+    rotation: Annotated[bool, typer.Option(help="Turn crops a little.")] = True,
+    brightness: Annotated[bool, typer.Option(help="Vary brightness.")] = True,
+    exposure: Annotated[bool, typer.Option(help="Vary contrast and gamma.")] = True,
+    blur: Annotated[bool, typer.Option(help="Blur some crops.")] = True,
+    noise: Annotated[bool, typer.Option(help="Add noise to some crops.")] = True,
+    mosaic: Annotated[bool, typer.Option(help="Make half of the crops of four, as YOLOv4.")] = (
+        False
+    ),
+    paste: Annotated[
+        bool, typer.Option(help="Put boats, cut out of other pictures, into the crops.")
+    ] = True,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE", help="Of the architecture. May be given several times."
+        ),
+    ] = None,
+    initial: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Weights (.safetensors) of an earlier training."),
+    ] = None,
+    validate_every: Annotated[int, typer.Option(help="Steps between two validations.")] = 500,
+    patience: Annotated[
+        int, typer.Option(help="Stop after as many validations without a better one; 0: never.")
+    ] = 0,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, ...")] = "auto",
+    precision: Annotated[str, typer.Option(help="auto, float32 or bfloat16.")] = "auto",
+    threads: Annotated[int, typer.Option(help="Of the CPU; 0: as many as there are.")] = 0,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Train a detector on the boxes of a scene, and export it to ONNX."""
+    if arch not in ARCHITECTURES:
+        raise unknown_name("architecture", arch, ARCHITECTURES)
+    _extras.module("torch", "train")
+    # Both are imported late: without torch the other commands must work.
+    from sightline.training.augmentation import Augmentation
+    from sightline.training.data import Labels, parse_margins
+    from sightline.training.loop import TrainingSettings
+    from sightline.training.recipe import Recipe, train_detector
+
+    keep_apart([json], [scene])
+    loaded = Scene.load(scene)
+    for_validation = _names(validation)
+    for_training = _names(train) or tuple(
+        one.name for one in loaded.recordings if one.name not in for_validation
+    )
+    low, high = _pair("--scales", scales, "-")
+    width, height = _pair("--size", size, "x")
+    recipe = Recipe(
+        architecture=arch,
+        train=for_training,
+        validation=for_validation,
+        labels=Labels(
+            class_names=_names(classes),
+            folders=tuple(labels or []),
+            complete=complete,
+            margins=parse_margins(margin or []),
+        ),
+        synthetic=synthetic,
+        size_px=(int(width), int(height)),
+        batch=batch,
+        augmentation=Augmentation(
+            rotation=rotation,
+            brightness=brightness,
+            exposure=exposure,
+            blur=blur,
+            noise=noise,
+            mosaic=mosaic,
+            paste=paste,
+            scales=(low, high),
+        ),
+        training=TrainingSettings(
+            steps=steps,
+            rate=rate,
+            validate_every=validate_every,
+            patience=patience,
+            seed=seed,
+            device=device,
+            precision=precision,
+            threads=threads,
+        ),
+        options=_options(option or []),
+        initial=initial,
+    )
+    with progress() as tell:
+        made = train_detector(loaded, recipe, output, progress=tell)
+    training = made.training
+    write_result(
+        json,
+        {
+            "detector": str(made.path),
+            "parameters": made.parameters,
+            "export_difference": made.export_difference,
+            "steps": training.steps,
+            "best_step": training.best_step,
+            "best_score": training.best_score,
+            "elapsed_s": training.elapsed_s,
+            "stopped_early": training.stopped_early,
+            "history": [dict(row) for row in training.history],
+            "data": dict(made.data),
+        },
+    )
+    early = ", stopped early" if training.stopped_early else ""
+    say(
+        f"{arch}: {made.parameters:,} parameters, {training.steps} steps in "
+        f"{training.elapsed_s / 60.0:.1f} min{early}; kept step {training.best_step}"
+    )
+    if for_validation:
+        say(f"validation ({', '.join(for_validation)}): mAP @ 0.5 IoU {training.best_score:.3f}")
+    say(f"detector: {made.path} (differs from the network by {made.export_difference:.1g})")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name for name in (part.strip() for part in text.split(",")) if name)
+
+
+def _pair(option: str, text: str, between: str) -> tuple[float, float]:
+    first, _, second = text.partition(between)
+    try:
+        return float(first), float(second)
+    except ValueError as error:
+        raise InputError(
+            f"{option} {text!r}: expected two numbers with {between!r} between them"
+        ) from error
+
+
+def _options(texts: list[str]) -> dict[str, bool | int | float | str]:
+    """Options of an architecture: numbers and truth values where they look like it."""
+    options: dict[str, bool | int | float | str] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.isidentifier():
+            raise InputError(f"--option {text!r}: expected NAME=VALUE, for example width=1.5")
+        options[name] = _value(value)
+    return options
+
+
+def _value(text: str) -> bool | int | float | str:
+    if text in ("true", "false"):
+        return text == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

@@ -1,0 +1,195 @@
+"""From a scene to a detector file: the pictures, the split, the training, and the export."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from sightline.errors import InputError
+from sightline.scene import Scene
+from sightline.training.architecture import build
+from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.data import (
+    Labels,
+    backgrounds,
+    check_split,
+    digest,
+    scene_pictures,
+    sprites,
+    synthetic_pictures,
+    vanishing_row_px,
+)
+from sightline.training.export import export_onnx
+from sightline.training.loop import TrainingResult, TrainingSettings, load_weights, train
+
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a detector is made of; the same recipe and data give the same detector.
+
+    Attributes:
+        architecture: One of `ARCHITECTURES`.
+        train: Names of the recordings that it learns from.
+        validation: Names of those by which the best weights are chosen; may be none.
+        labels: How boxes become what is learned.
+        synthetic: How many rendered pictures there are besides.
+        size_px: Width and height of the crops, rounded up to multiples of the network's stride.
+        batch: Crops in a batch.
+        augmentation: What is done to the pictures.
+        training: The loop's settings.
+        options: Of the architecture.
+        initial: Weights to begin with, as an earlier training wrote them.
+    """
+
+    architecture: str
+    train: tuple[str, ...]
+    validation: tuple[str, ...] = ()
+    labels: Labels = field(default_factory=Labels)
+    synthetic: int = 0
+    size_px: tuple[int, int] = (320, 192)
+    batch: int = 16
+    augmentation: Augmentation = field(default_factory=Augmentation)
+    training: TrainingSettings = field(default_factory=TrainingSettings)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    initial: Path | None = None
+
+    def __post_init__(self) -> None:
+        both = sorted(set(self.train) & set(self.validation))
+        if both:
+            raise InputError(
+                f"recording {both[0]!r} is both for training and for validation; a recording can "
+                "be in one part only"
+            )
+        if self.batch < 1 or min(self.size_px) < 32:
+            raise InputError("a batch needs a crop or more, and crops 32 px or more a side")
+        if self.synthetic < 0:
+            raise InputError(f"{self.synthetic} synthetic pictures cannot be rendered")
+
+
+@dataclass(frozen=True)
+class TrainedDetector:
+    """What a recipe came to.
+
+    Attributes:
+        path: The ONNX file.
+        parameters: How many the network has.
+        export_difference: Largest difference of the file's outputs from the network's.
+        training: How it went.
+        data: Pictures, boxes and hashes by part of the split and recording.
+    """
+
+    path: Path
+    parameters: int
+    export_difference: float
+    training: TrainingResult
+    data: Mapping[str, Any]
+
+
+def train_detector(
+    scene: Scene, recipe: Recipe, folder: Path, *, progress: Tell | None = None
+) -> TrainedDetector:
+    """Train a detector on a scene, and export it.
+
+    The folder gets ``config.json`` (all that is needed to repeat the run), ``history.csv`` (a row a
+    validation), ``checkpoint.safetensors``, ``weights.safetensors`` (the best) and ``NAME.onnx``.
+    A folder with a checkpoint of the same recipe and data is gone on with.
+
+    Args:
+        scene: Camera and recordings.
+        recipe: What to do.
+        folder: Where the results go; made if it is not there.
+        progress: Told what is done, and the share.
+
+    Raises:
+        InputError: A part of the split has no boxes, a file or a setting cannot be used, or the
+            extra ``train`` is not installed.
+        ExportError: The exported file does not agree with the network.
+    """
+    tell = progress if progress is not None else _silent
+    torch.manual_seed(recipe.training.seed)
+    trainable = build(recipe.architecture, recipe.labels.class_names, **recipe.options)
+    if recipe.initial is not None:
+        load_weights(recipe.initial, trainable)
+    stride = trainable.stride
+    size = tuple(stride * math.ceil(side / stride) for side in recipe.size_px)
+    tell("reading pictures", 0.0)
+    train_pictures = scene_pictures(
+        scene, recipe.train, recipe.labels, progress=lambda share: tell("reading pictures", share)
+    )
+    check_split(train_pictures, recipe.train, "train")
+    validation = scene_pictures(scene, recipe.validation, recipe.labels)
+    if recipe.validation:
+        check_split(validation, recipe.validation, "validation")
+    rendered = synthetic_pictures(
+        recipe.synthetic,
+        recipe.training.seed,
+        recipe.labels,
+        image_size_px=scene.image_size_px,
+        progress=lambda share: tell("rendering the synthetic harbour", share),
+    )
+    tell("cutting out boats", float("nan"))
+    pasted = sprites(train_pictures) if recipe.augmentation.paste else []
+    data = {
+        "train": digest([*train_pictures, *rendered]),
+        "validation": digest(validation),
+    }
+    batches = Batches(
+        [*train_pictures, *rendered],
+        backgrounds(train_pictures) if recipe.augmentation.paste else [],
+        pasted,
+        recipe.augmentation,
+        size_px=(size[0], size[1]),
+        batch=recipe.batch,
+        seed=recipe.training.seed,
+        vanishing_row_px=vanishing_row_px(train_pictures),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    configuration = {
+        "scene": scene.path.name,
+        "data": data,
+        "sprites": len(pasted),
+        "margins": {name: str(one) for name, one in recipe.labels.margins.items()},
+        "complete": recipe.labels.complete,
+        "size_px": list(size),
+        "batch": recipe.batch,
+        "augmentation": recipe.augmentation.to_dict(),
+        "options": dict(recipe.options),
+        "initial": None if recipe.initial is None else recipe.initial.name,
+    }
+    result = train(
+        trainable, batches, validation, recipe.training, folder, configuration, progress=progress
+    )
+    tell("exporting", float("nan"))
+    path = folder / f"{recipe.architecture}.onnx"
+    difference = export_onnx(
+        trainable,
+        path,
+        size_px=(size[0], size[1]),
+        about={
+            "trained_on": _listed(recipe.train, scene, recipe.synthetic),
+            "steps": result.best_step,
+        },
+    )
+    return TrainedDetector(
+        path=path,
+        parameters=sum(parameter.numel() for parameter in trainable.module.parameters()),
+        export_difference=difference,
+        training=result,
+        data=data,
+    )
+
+
+def _silent(_what: str, _share: float) -> None:
+    return
+
+
+def _listed(names: Sequence[str], scene: Scene, synthetic: int) -> str:
+    rendered = f" and {synthetic} rendered pictures" if synthetic else ""
+    return f"{scene.camera.name} {' '.join(names)}{rendered}"

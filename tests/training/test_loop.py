@@ -1,0 +1,288 @@
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
+from safetensors.torch import load_file
+
+from conftest import picture
+from sightline.errors import InputError
+from sightline.training import ARCHITECTURES, Prediction, Target, Trainable, build
+from sightline.training.architecture import _MODULES
+from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.data import Picture
+from sightline.training.export import TOLERANCE, ExportError, export_onnx
+from sightline.training.loop import (
+    CHECKPOINT,
+    WEIGHTS,
+    TrainingSettings,
+    find_device,
+    load_weights,
+    train,
+    validate,
+)
+
+CLASSES = ("boat", "sailboat")
+SMALL = {"harbour": {"width": 0.5}}
+THERE = [name for name in ARCHITECTURES if importlib.util.find_spec(_MODULES[name])]
+
+
+class Killed(Exception):
+    pass
+
+
+def _pictures() -> list[Picture]:
+    found = []
+    for seed, box in enumerate([(60, 70, 120, 100), (150, 90, 200, 120), (20, 40, 60, 60)]):
+        boxes = np.array([box], np.float32)
+        found.append(
+            Picture(
+                "a", seed, picture([box], seed), boxes, np.array([seed % 2]), np.zeros(1, bool)
+            )
+        )
+    return found
+
+
+def _batches(size_px: tuple[int, int] = (128, 128)) -> Batches:
+    return Batches(_pictures(), [], [], Augmentation(), size_px=size_px, batch=2, seed=1)
+
+
+def _train(folder: Path, name: str, steps: int, kill_at: int = 0) -> Trainable:
+    torch.manual_seed(5)
+    trainable = build(name, CLASSES, **SMALL.get(name, {}))
+
+    def tell(_what: str, share: float) -> None:
+        if kill_at and share * steps > kill_at - 0.5:
+            raise Killed
+
+    settings = TrainingSettings(
+        steps=steps, warmup=2, validate_every=2, checkpoint_every=1, device="cpu", threads=1
+    )
+    train(trainable, _batches(), _pictures()[:1], settings, folder, {"data": 1}, progress=tell)
+    return trainable
+
+
+@pytest.mark.parametrize("name", THERE)
+def test_each_architecture_trains_resumes_and_exports(name: str, tmp_path: Path) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    for folder in (whole, killed):
+        folder.mkdir()
+    _train(whole, name, 4)
+    with pytest.raises(Killed):
+        # Step 3 is done when the kill comes, and its checkpoint is not yet written.
+        _train(killed, name, 4, kill_at=3)
+    trainable = _train(killed, name, 4)
+    expected = load_file(whole / CHECKPOINT)
+    resumed = load_file(killed / CHECKPOINT)
+    assert expected.keys() == resumed.keys()
+    for key, value in expected.items():
+        assert torch.equal(value, resumed[key]), key
+    moved = build(name, CLASSES, **SMALL.get(name, {})).module.state_dict()
+    assert any(
+        not torch.equal(value, moved[key]) for key, value in trainable.module.state_dict().items()
+    )
+    path = tmp_path / f"{name}.onnx"
+    assert export_onnx(trainable, path, size_px=(128, 128)) <= TOLERANCE
+    model = onnx.load(path)
+    assert model.ir_version <= 13
+    assert model.opset_import[0].version <= 26
+
+
+@pytest.mark.parametrize("name", THERE)
+def test_losses_are_finite_without_boxes_and_with_open_regions(name: str) -> None:
+    trainable = build(name, CLASSES, **SMALL.get(name, {}))
+    trainable.module.train()
+    nothing = Target(
+        torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64), torch.zeros(0, dtype=torch.bool)
+    )
+    everything = Target(
+        torch.tensor([[0.0, 0.0, 128.0, 128.0]]),
+        torch.zeros(1, dtype=torch.int64),
+        torch.ones(1, dtype=torch.bool),
+    )
+    losses = trainable.losses(torch.rand(2, 3, 128, 128), [nothing, everything])
+    for loss in losses.values():
+        assert torch.isfinite(loss)
+
+
+def test_harbour_learns_to_find_a_boat() -> None:
+    torch.manual_seed(0)
+    trainable = build("harbour", ("boat",), width=0.5)
+    optimizer = torch.optim.AdamW(trainable.module.parameters(), lr=4e-3)
+    plain = Augmentation(
+        rotation=False, brightness=False, exposure=False, blur=False, noise=False, color=False,
+        compression=False, scales=(0.8, 1.2),
+    )  # fmt: skip
+    pictures = [replace(one, labels=np.zeros(1, np.int64)) for one in _pictures()]
+    batches = Batches(pictures, [], [], plain, size_px=(160, 128), batch=4, seed=0)
+    trainable.module.train()
+    for number in range(160):
+        optimizer.param_groups[0]["lr"] = 4e-3 * (1.0 - number / 160.0)
+        images, targets = batches(number)
+        loss = torch.stack(list(trainable.losses(images, targets).values())).sum()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    seen = validate(trainable, pictures, torch.device("cpu"))
+    assert seen.score > 0.9
+    assert seen.giou_loss < 0.4
+
+
+def test_an_open_region_teaches_nothing() -> None:
+    torch.manual_seed(0)
+    trainable = build("harbour", CLASSES, width=0.5)
+    everywhere = Target(
+        torch.tensor([[0.0, 0.0, 64.0, 64.0]]),
+        torch.zeros(1, dtype=torch.int64),
+        torch.ones(1, dtype=torch.bool),
+    )
+    losses = trainable.losses(torch.rand(1, 3, 64, 64), [everywhere])
+    assert float(losses["class"]) == 0.0
+
+
+class _Fixed:
+    """Finds what it is told to."""
+
+    name = "fixed"
+    class_names = CLASSES
+    stride = 32
+
+    def __init__(self, found: list[Prediction]) -> None:
+        self.module = torch.nn.Identity()
+        self._found = iter(found)
+
+    def losses(self, images: torch.Tensor, targets: object) -> dict[str, torch.Tensor]:
+        raise NotImplementedError
+
+    def predict(self, images: torch.Tensor, threshold: float) -> list[Prediction]:
+        return [next(self._found)]
+
+    def export_module(self) -> object:
+        raise NotImplementedError
+
+
+def test_average_precision_is_that_of_coco() -> None:
+    rng = np.random.default_rng(2)
+    pictures, found, truths, results = [], [], [], []
+    for number in range(12):
+        corner = rng.uniform(0, 180, (4, 2))
+        boxes = np.concatenate([corner, corner + rng.uniform(10, 60, (4, 2))], axis=1)
+        labels = rng.integers(0, 2, 4)
+        blank = np.zeros((256, 256, 3), np.uint8)
+        pictures.append(
+            Picture("a", number, blank, boxes.astype(np.float32), labels, np.zeros(4, bool))
+        )
+        guess = np.concatenate([boxes + rng.normal(0, 4, (4, 4)), boxes[:2] + 100.0])
+        score = rng.uniform(0.1, 1.0, 6)
+        kind = np.concatenate([labels, [0, 1]])
+        order = np.argsort(-score)
+        found.append(
+            Prediction(
+                torch.from_numpy(guess[order]),
+                torch.from_numpy(score[order]),
+                torch.from_numpy(kind[order]),
+            )
+        )
+        for box, label in zip(boxes.astype(np.float32).astype(float), labels, strict=True):
+            sides = box[2:] - box[:2]
+            truths.append(
+                {
+                    "id": len(truths) + 1, "image_id": number, "category_id": int(label),
+                    "bbox": [*box[:2], *sides], "area": float(sides.prod()), "iscrowd": 0,
+                }
+            )  # fmt: skip
+        results += [
+            {
+                "image_id": number, "category_id": int(k), "score": float(s),
+                "bbox": [*b[:2], *(b[2:] - b[:2])],
+            }
+            for b, s, k in zip(guess, score, kind, strict=True)
+        ]  # fmt: skip
+    with contextlib.redirect_stdout(io.StringIO()):
+        oracle = COCO()
+        oracle.dataset = {
+            "images": [{"id": number} for number in range(12)],
+            "annotations": truths,
+            "categories": [{"id": 0}, {"id": 1}],
+        }
+        oracle.createIndex()
+        evaluation = COCOeval(oracle, oracle.loadRes(results), "bbox")
+        evaluation.params.iouThrs = np.array([0.5])
+        evaluation.evaluate()
+        evaluation.accumulate()
+    precision = evaluation.eval["precision"][0, :, :, 0, -1].mean(axis=0)
+    seen = validate(_Fixed(found), pictures, torch.device("cpu"))  # type: ignore[arg-type]
+    assert seen.ap50["boat"] == pytest.approx(precision[0], abs=1e-6)
+    assert seen.ap50["sailboat"] == pytest.approx(precision[1], abs=1e-6)
+
+
+def test_training_stops_when_it_gets_no_better(tmp_path: Path) -> None:
+    trainable = build("harbour", CLASSES, width=0.5)
+    settings = TrainingSettings(
+        steps=50, rate=1e-9, warmup=1, validate_every=1, patience=3, device="cpu"
+    )
+    result = train(trainable, _batches(), _pictures(), settings, tmp_path, {})
+    assert result.stopped_early
+    assert result.steps < 50
+    assert (tmp_path / WEIGHTS).exists()
+
+
+def test_a_folder_with_another_run_is_refused(tmp_path: Path) -> None:
+    _train(tmp_path, "harbour", 1)
+    with pytest.raises(InputError, match="other settings or other data"):
+        _train(tmp_path, "harbour", 2)
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:
+    _train(tmp_path, "harbour", 1)
+    path = tmp_path / CHECKPOINT
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(InputError, match="is damaged or no file of weights"):
+        _train(tmp_path, "harbour", 1)
+
+
+def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
+    _train(tmp_path, "harbour", 1)
+    with pytest.raises(InputError, match="another size"):
+        load_weights(tmp_path / WEIGHTS, build("harbour", CLASSES, width=1.0))
+    with pytest.raises(InputError, match="other classes"):
+        load_weights(tmp_path / WEIGHTS, build("harbour", ("boat",), width=0.5))
+    with pytest.raises(InputError, match="there is no such file"):
+        load_weights(tmp_path / "none.safetensors", build("harbour", CLASSES, width=0.5))
+
+
+def test_a_device_that_is_not_there_is_refused() -> None:
+    assert find_device("cpu").type == "cpu"
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match="not to be had here"):
+            find_device("cuda")
+    with pytest.raises(InputError, match="not to be had here"):
+        find_device("abacus")
+
+
+def test_an_export_that_differs_is_not_written(tmp_path: Path) -> None:
+    trainable = build("harbour", CLASSES, width=0.5)
+    module, info = trainable.export_module()
+
+    class Restless(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.inner = module
+
+        def forward(self, images: torch.Tensor) -> torch.Tensor:
+            # A constant in the trace, another number in each call.
+            return self.inner(images) + float(np.random.default_rng().uniform(1.0, 2.0))
+
+    trainable.export_module = lambda: (Restless(), info)  # type: ignore[method-assign]
+    with pytest.raises(ExportError, match="differs by"):
+        export_onnx(trainable, tmp_path / "a.onnx", size_px=(64, 64))
+    assert list(tmp_path.iterdir()) == []
