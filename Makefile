@@ -6,13 +6,14 @@ BIN := $(VENV)/bin
 BASE := $(VENV)/.base
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
+TRAIN := $(VENV)/.train
 
 PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 	--constraint constraints.txt --build-constraint constraints.txt
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast check format bench docs constraints clean
+.PHONY: help demo test test-fast test-train check format bench docs constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -21,12 +22,17 @@ help:  ## say what can be made
 demo: $(BASE)  ## simulate a harbour, run the whole pipeline on it, say where the results lie
 	$(BIN)/sightline demo
 
-test: $(DEV)  ## run all tests
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS)
+test: $(DEV)  ## run all tests but those of training
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) --ignore tests/training
 
 test-fast: $(DEV)  ## the same, those that failed last time first, up to the first failure
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-		$(BIN)/python -m pytest -n $(TEST_WORKERS) --failed-first --maxfail 1
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) --failed-first --maxfail 1 --ignore tests/training
+
+test-train: $(TRAIN)  ## install what trains detectors, train each for some steps on the CPU
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) tests/training
 
 check: $(DEV)  ## what does not need running: style, format, types, direction of imports
 	$(BIN)/ruff check
@@ -75,6 +81,10 @@ $(BASE): pyproject.toml constraints.txt | $(BIN)/python
 
 $(DEV): $(BASE)
 	$(PIP_INSTALL) --group dev
+	@touch $@
+
+$(TRAIN): $(DEV)
+	$(PIP_INSTALL) --editable '.[train]'
 	@touch $@
 
 $(BENCH): $(DEV)

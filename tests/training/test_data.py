@@ -68,9 +68,9 @@ def test_tables_replace_the_scenes_boxes_and_may_be_complete(scene: Scene, tmp_p
     pictures = scene_pictures(scene, ["a"], Labels(folders=(folder,)))
     first, second = pictures[0], pictures[1]
     np.testing.assert_allclose(
-        first.boxes_xyxy_px, [[100, 40, 120, 70], [10, 20, 30, 30], [60, 5, 90, 15]]
+        first.boxes_xyxy_px, [[10, 20, 30, 30], [100, 40, 120, 70], [60, 5, 90, 15]]
     )
-    assert first.labels[:2].tolist() == [1, 0]
+    assert first.labels[:2].tolist() == [0, 1]
     assert first.ignore.tolist() == [False, False, True]
     assert len(second.boxes_xyxy_px) == 0
     target_only = scene_pictures(scene, ["a"], Labels(folders=(folder,), complete=False))
@@ -79,14 +79,13 @@ def test_tables_replace_the_scenes_boxes_and_may_be_complete(scene: Scene, tmp_p
 
 
 def test_boxes_of_two_annotators_become_one(scene: Scene, tmp_path: Path) -> None:
-    folder = tmp_path / "eye"
     _table(
-        folder,
+        tmp_path / "boxes",
         "a.csv",
         "frame,x1,y1,x2,y2,annotator\n0,10,20,50,40,loose\n0,14,24,46,36,close\n0,15,25,20,30,part\n",
     )
-    picture = scene_pictures(scene, ["a"], Labels(("boat",), (folder,)))[0]
-    np.testing.assert_allclose(picture.boxes_xyxy_px, [[12, 22, 48, 38]])
+    picture = scene_pictures(scene, ["a"], ONE_CLASS)[0]
+    np.testing.assert_allclose(picture.boxes_xyxy_px[~picture.ignore], [[12, 22, 48, 38]])
 
 
 def test_margins_even_out_annotators() -> None:

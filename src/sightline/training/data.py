@@ -188,8 +188,11 @@ def _recording_pictures(recording: Recording, labels: Labels) -> list[Picture]:
         if frame.index not in known:
             continue
         image = np.ascontiguousarray(frame.image_bgr[..., ::-1])
-        own = tables if frame.index in named else [drawn] if drawn is not None else []
-        boxes = _frame_boxes(frame.index, own, labels)
+        if frame.index in named:
+            boxes = _frame_boxes(frame.index, tables, labels)
+        else:
+            # Those of a scene are all of its target, whoever drew them.
+            boxes = _merged(*_frame_boxes(frame.index, [drawn] if drawn is not None else [], labels))
         whole = labels.complete and frame.index in named
         if whole or len(boxes[0]):
             pictures.append(_picture(recording.name, frame.index, image, boxes, whole))
@@ -240,7 +243,7 @@ def _empty_frames(path: Path, name: str) -> set[int]:
 def _frame_boxes(
     frame: int, tables: Sequence[Boxes], labels: Labels
 ) -> tuple[FloatArray, IntArray, BoolArray]:
-    """Boxes, labels and whether to ignore, of a frame; several boxes of one boat are one."""
+    """Boxes, labels and whether to ignore, of a frame."""
     position = {name: i for i, name in enumerate(labels.class_names)}
     corners: list[FloatArray] = []
     kinds: list[int] = []
@@ -258,17 +261,16 @@ def _frame_boxes(
             corners.append(labels.margins.get(str(source), Margin()).widened(xyxy))
             kinds.append(max(kind, 0))
             ignored.append(ignore)
-    boxes = np.array(corners, dtype=float).reshape(-1, 4)
-    kind_of, open_ones = np.array(kinds, dtype=np.int64), np.array(ignored, dtype=bool)
-    merged_boxes, merged = _merged(boxes[~open_ones])
     return (
-        np.concatenate([merged_boxes, boxes[open_ones]]),
-        np.concatenate([kind_of[~open_ones][merged], kind_of[open_ones]]),
-        np.concatenate([np.zeros(len(merged), bool), open_ones[open_ones]]),
+        np.array(corners, dtype=float).reshape(-1, 4),
+        np.array(kinds, dtype=np.int64),
+        np.array(ignored, dtype=bool),
     )
 
 
-def _merged(corners: FloatArray) -> tuple[FloatArray, IntArray]:
+def _merged(
+    corners: FloatArray, labels: IntArray, ignore: BoolArray
+) -> tuple[FloatArray, IntArray, BoolArray]:
     """One box for those that are of one boat: their mean, or the larger where one is a part."""
     used = np.zeros(len(corners), dtype=bool)
     boxes, first = [], []
@@ -284,7 +286,8 @@ def _merged(corners: FloatArray) -> tuple[FloatArray, IntArray]:
         used |= same | part
         boxes.append(corners[same].mean(axis=0))
         first.append(int(i))
-    return np.array(boxes, dtype=float).reshape(-1, 4), np.array(first, dtype=np.int64)
+    rows = np.array(first, dtype=np.int64)
+    return np.array(boxes, dtype=float).reshape(-1, 4), labels[rows], ignore[rows]
 
 
 def _picture(

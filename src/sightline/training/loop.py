@@ -203,7 +203,8 @@ def train(
                 row |= {"giou_loss": seen.giou_loss, "score": seen.score}
             score = row.get("score", float(state.step))
             state.history.append(row)
-            if score > state.best_score:
+            # Of equals the later one: it has learned for longer.
+            if score >= state.best_score:
                 state.best_score, state.best_step = score, state.step
                 save_weights(folder / WEIGHTS, trainable, mean)
             sums, since = {}, state.step
