@@ -25,7 +25,15 @@ PLAIN = Augmentation(
 def _picture(boxes: list[tuple[int, int, int, int]], seed: int = 0, *, label: int = 0) -> Picture:
     corners = np.array(boxes, dtype=np.float32).reshape(-1, 4)
     labels = np.full(len(boxes), label, dtype=np.int64)
-    return Picture("a", seed, picture(boxes, seed), corners, labels, np.zeros(len(boxes), bool))
+    return Picture(
+        "a",
+        seed,
+        picture(boxes, seed),
+        corners,
+        labels,
+        np.zeros(len(boxes), bool),
+        np.ones(len(boxes), np.float32),
+    )
 
 
 def _red(image: torch.Tensor) -> torch.Tensor:
@@ -73,9 +81,9 @@ def test_boxes_stay_with_their_boats(augmentation: Augmentation) -> None:
             red = _red(image)
             inside = torch.zeros_like(red)
             for x1, y1, x2, y2 in target.boxes_xyxy_px.tolist():
-                inside[max(round(y1) - 3, 0) : round(y2) + 3, max(round(x1) - 3, 0) : round(x2) + 3] = (
-                    True
-                )
+                inside[
+                    max(round(y1) - 3, 0) : round(y2) + 3, max(round(x1) - 3, 0) : round(x2) + 3
+                ] = True
             assert not (red & ~inside).any()
             counted = target.boxes_xyxy_px[~target.ignore]
             for x1, y1, x2, y2 in counted.tolist():

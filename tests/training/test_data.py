@@ -73,9 +73,30 @@ def test_tables_replace_the_scenes_boxes_and_may_be_complete(scene: Scene, tmp_p
     assert first.labels[:2].tolist() == [0, 1]
     assert first.ignore.tolist() == [False, False, True]
     assert len(second.boxes_xyxy_px) == 0
-    target_only = scene_pictures(scene, ["a"], Labels(folders=(folder,), complete=False))
+    np.testing.assert_allclose(first.worth, 1.0)
+    half = scene_pictures(scene, ["a"], Labels(("boat", "sailboat"), (folder,), others=0.5))
+    # Only of the target's own class; and this table has no other boat of it.
+    np.testing.assert_allclose(half[0].worth, 1.0)
+
+
+def test_a_table_of_the_target_alone_leaves_the_rest_open(scene: Scene, tmp_path: Path) -> None:
+    folder = tmp_path / "eye"
+    _table(folder, "a.csv", "frame,x1,y1,x2,y2,target\n0,10,20,30,30,1\n")
+    _table(folder, "empty.csv", "recording,frame\na,1\n")
+    pictures = scene_pictures(scene, ["a"], Labels(("boat",), (folder,)))
     # Of a frame without the target, and nothing else known, there is nothing to learn.
-    assert [picture.frame for picture in target_only] == [0, 2, 3, 4, 5]
+    assert [picture.frame for picture in pictures] == [0, 2, 3, 4, 5]
+    assert pictures[0].ignore.sum() == 4
+
+
+def test_other_boats_are_worth_less_if_asked(scene: Scene, tmp_path: Path) -> None:
+    folder = tmp_path / "eye"
+    text = "frame,x1,y1,x2,y2,label,target\n0,10,20,30,30,boat,1\n0,60,20,80,30,boat,0\n"
+    _table(folder, "a.csv", text)
+    labels = Labels(("boat", "sailboat"), (folder,), others=0.4)
+    np.testing.assert_allclose(scene_pictures(scene, ["a"], labels)[0].worth, [1.0, 0.4])
+    with pytest.raises(InputError, match="share above 0"):
+        Labels(others=0.0)
 
 
 def test_boxes_of_two_annotators_become_one(scene: Scene, tmp_path: Path) -> None:
@@ -127,7 +148,9 @@ def test_a_part_of_a_split_without_boxes_is_refused(scene: Scene) -> None:
 def test_a_picture_of_nothing_but_open_regions_is_no_box(scene: Scene) -> None:
     image = np.zeros((32, 32, 3), np.uint8)
     box = np.array([[0, 0, 32, 32]], np.float32)
-    alone = Picture("a", 0, image, box, np.zeros(1, np.int64), np.ones(1, bool))
+    alone = Picture(
+        "a", 0, image, box, np.zeros(1, np.int64), np.ones(1, bool), np.ones(1, np.float32)
+    )
     with pytest.raises(InputError, match="have no boxes"):
         check_split([alone], ["a"], "train")
 
@@ -153,7 +176,9 @@ def test_boats_grow_from_the_vanishing_row() -> None:
     height = 0.4 * (row - 100.0) * np.exp(rng.normal(0.0, 0.02, 60))
     boxes = np.stack([row * 0, row - height, row * 0 + 30, row], axis=1).astype(np.float32)
     blank = np.zeros((2, 2, 3), np.uint8)
-    picture = Picture("a", 0, blank, boxes, np.zeros(60, np.int64), np.zeros(60, bool))
+    picture = Picture(
+        "a", 0, blank, boxes, np.zeros(60, np.int64), np.zeros(60, bool), np.ones(60, np.float32)
+    )
     assert vanishing_row_px([picture]) == pytest.approx(100.0, abs=4.0)
     assert vanishing_row_px([]) is None
 

@@ -46,7 +46,13 @@ def _pictures() -> list[Picture]:
         boxes = np.array([box], np.float32)
         found.append(
             Picture(
-                "a", seed, picture([box], seed), boxes, np.array([seed % 2]), np.zeros(1, bool)
+                "a",
+                seed,
+                picture([box], seed),
+                boxes,
+                np.array([seed % 2]),
+                np.zeros(1, bool),
+                np.ones(1, np.float32),
             )
         )
     return found
@@ -179,7 +185,15 @@ def test_average_precision_is_that_of_coco() -> None:
         labels = rng.integers(0, 2, 4)
         blank = np.zeros((256, 256, 3), np.uint8)
         pictures.append(
-            Picture("a", number, blank, boxes.astype(np.float32), labels, np.zeros(4, bool))
+            Picture(
+                "a",
+                number,
+                blank,
+                boxes.astype(np.float32),
+                labels,
+                np.zeros(4, bool),
+                np.ones(4, np.float32),
+            )
         )
         guess = np.concatenate([boxes + rng.normal(0, 4, (4, 4)), boxes[:2] + 100.0])
         score = rng.uniform(0.1, 1.0, 6)

@@ -35,16 +35,22 @@ class Target:
         labels: (M,) int64, positions in ``class_names``.
         ignore: (M,) bool: something is there that was not labelled with care. Such a box is
             neither to be found nor wrong to find.
+        worth: (M,) float32, the share of the full score that is taught; None: all of it. An
+            architecture may pass it over.
     """
 
     boxes_xyxy_px: Tensor
     labels: Tensor
     ignore: Tensor
+    worth: Tensor | None = None
 
     def to(self, device: Any) -> Target:
         """The same on another device."""
         return Target(
-            self.boxes_xyxy_px.to(device), self.labels.to(device), self.ignore.to(device)
+            self.boxes_xyxy_px.to(device),
+            self.labels.to(device),
+            self.ignore.to(device),
+            None if self.worth is None else self.worth.to(device),
         )
 
 

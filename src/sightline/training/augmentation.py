@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _extras
@@ -83,6 +84,7 @@ class _Boxes:
     corners: FloatArray
     labels: IntArray
     ignore: BoolArray
+    worth: NDArray[np.float32]
 
 
 class Batches:
@@ -144,6 +146,7 @@ class Batches:
                     torch.from_numpy(boxes.corners.astype(np.float32)),
                     torch.from_numpy(boxes.labels),
                     torch.from_numpy(boxes.ignore),
+                    torch.from_numpy(boxes.worth),
                 )
             )
         return torch.stack(images).float() / 255.0, targets
@@ -189,7 +192,7 @@ class Batches:
         x, y = self._corner(rng, picture, scale)
         image = _cropped(picture.image, x, y, scale, self._size)
         corners = (picture.boxes_xyxy_px.astype(float) - [x, y, x, y]) * scale
-        boxes = _Boxes(corners, picture.labels, picture.ignore)
+        boxes = _Boxes(corners, picture.labels, picture.ignore, picture.worth)
         boxes = _clipped(corners, boxes, (0, 0, width, height), self._smallest)
         if paste:
             image, boxes = self._paste(rng, image, boxes, x, y, scale)
@@ -249,7 +252,10 @@ class Batches:
                     resize, left, top = placed
                     corners = _laid(rng, image, sprite, resize, left, top)
                     one = _Boxes(
-                        corners[None], np.array([sprite.label]), np.array([False], dtype=bool)
+                        corners[None],
+                        np.array([sprite.label]),
+                        np.array([False]),
+                        np.array([sprite.worth], np.float32),
                     )
                     window = (0, 0, *self._size)
                     parts.append(_clipped(corners[None], one, window, self._smallest))
@@ -302,14 +308,12 @@ class Batches:
             corners[1] - sprite.box_xyxy_px[1] * resize,
         )
 
-    def _vary(
-        self, rng: np.random.Generator, image: Image, boxes: _Boxes
-    ) -> tuple[Image, _Boxes]:
+    def _vary(self, rng: np.random.Generator, image: Image, boxes: _Boxes) -> tuple[Image, _Boxes]:
         if self._settings.flip and rng.random() < 0.5:
             image = np.ascontiguousarray(image[:, ::-1])
             flipped = boxes.corners[:, [2, 1, 0, 3]] * [-1.0, 1.0, -1.0, 1.0]
             flipped[:, [0, 2]] += self._size[0]
-            boxes = _Boxes(flipped, boxes.labels, boxes.ignore)
+            boxes = _Boxes(flipped, boxes.labels, boxes.ignore, boxes.worth)
         if self._settings.rotation and rng.random() < 0.4:
             angle = rng.uniform(-1.0, 1.0) * self._settings.rotation_deg
             image, boxes = self._rotated(image, boxes, float(angle))
@@ -338,7 +342,7 @@ class Batches:
         )
         rows = np.asarray(done["rows"], dtype=np.int64)
         corners = np.asarray(done["bboxes"], dtype=float).reshape(-1, 4)
-        turned = _Boxes(corners, boxes.labels[rows], boxes.ignore[rows])
+        turned = _Boxes(corners, boxes.labels[rows], boxes.ignore[rows], boxes.worth[rows])
         return done["image"], _clipped(corners, turned, (0, 0, width, height), self._smallest)
 
 
@@ -347,26 +351,20 @@ def _composition(albumentations: Any, settings: Augmentation) -> Any:
     a = albumentations
     steps = []
     if settings.brightness:
-        steps.append(
-            a.RandomBrightnessContrast(brightness_limit=0.2, contrast_limit=(0, 0), p=0.5)
-        )
+        steps.append(a.RandomBrightnessContrast(brightness_limit=0.2, contrast_limit=(0, 0), p=0.5))
     if settings.exposure:
         steps.append(
             a.OneOf(
                 [
                     a.RandomGamma(gamma_limit=(60, 160), p=1.0),
-                    a.RandomBrightnessContrast(
-                        brightness_limit=(0, 0), contrast_limit=0.35, p=1.0
-                    ),
+                    a.RandomBrightnessContrast(brightness_limit=(0, 0), contrast_limit=0.35, p=1.0),
                 ],
                 p=0.6,
             )
         )
     if settings.color:
         steps += [
-            a.HueSaturationValue(
-                hue_shift_limit=10, sat_shift_limit=35, val_shift_limit=0, p=0.4
-            ),
+            a.HueSaturationValue(hue_shift_limit=10, sat_shift_limit=35, val_shift_limit=0, p=0.4),
             a.RGBShift(r_shift_limit=14, g_shift_limit=14, b_shift_limit=18, p=0.4),
         ]
     if settings.blur:
@@ -383,9 +381,7 @@ def _composition(albumentations: Any, settings: Augmentation) -> Any:
     return a.Compose(steps)
 
 
-def _cropped(
-    image: Image, x: float, y: float, scale: float, size_px: tuple[int, int]
-) -> Image:
+def _cropped(image: Image, x: float, y: float, scale: float, size_px: tuple[int, int]) -> Image:
     """A part of a picture, scaled; what lies outside the picture is grey."""
     width, height = size_px
     left, top = int(np.floor(x)), int(np.floor(y))
@@ -465,7 +461,9 @@ def _clipped(
     full = np.maximum((corners[:, 2:] - corners[:, :2]).prod(axis=1), 1e-9)
     kept = (sides > 0.0).all(axis=1)
     doubtful = (sides.prod(axis=1) / full < _LEAST_SHARE) | (sides < smallest_px).any(axis=1)
-    return _Boxes(inside[kept], boxes.labels[kept], (boxes.ignore | doubtful)[kept])
+    return _Boxes(
+        inside[kept], boxes.labels[kept], (boxes.ignore | doubtful)[kept], boxes.worth[kept]
+    )
 
 
 def _joined(parts: Sequence[_Boxes]) -> _Boxes:
@@ -473,6 +471,7 @@ def _joined(parts: Sequence[_Boxes]) -> _Boxes:
         np.concatenate([part.corners for part in parts]),
         np.concatenate([part.labels for part in parts]),
         np.concatenate([part.ignore for part in parts]),
+        np.concatenate([part.worth for part in parts]),
     )
 
 

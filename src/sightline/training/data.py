@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,7 @@ class Picture:
         boxes_xyxy_px: (M, 4) float32.
         labels: (M,) int64, positions in the class names.
         ignore: (M,) bool: regions in which there may be more that nobody labelled.
+        worth: (M,) float32, the share of the full score that is taught.
         real: False for rendered pictures.
     """
 
@@ -58,13 +59,14 @@ class Picture:
     boxes_xyxy_px: NDArray[np.float32]
     labels: IntArray
     ignore: BoolArray
+    worth: NDArray[np.float32]
     real: bool = True
 
     @cached_property
     def digest(self) -> str:
         """A hash of the picture and of its boxes."""
         digest = hashlib.sha256(f"{self.recording} {self.frame} {self.image.shape}".encode())
-        for part in (self.image, self.boxes_xyxy_px, self.labels, self.ignore):
+        for part in (self.image, self.boxes_xyxy_px, self.labels, self.ignore, self.worth):
             digest.update(np.ascontiguousarray(part).tobytes())
         return digest.hexdigest()[:16]
 
@@ -80,6 +82,7 @@ class Sprite:
         box_xyxy_px: (4,) the boat's box in the sprite.
         waterline_px: Row of the lower edge of the box in the picture that it is from.
         label: Position in the class names.
+        worth: The share of the full score that is taught.
     """
 
     recording: str
@@ -88,6 +91,7 @@ class Sprite:
     box_xyxy_px: FloatArray
     waterline_px: float
     label: int
+    worth: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -118,11 +122,13 @@ class Labels:
     Attributes:
         class_names: What is told apart; boxes without a label are of the first class.
         folders: With tables ``NAME.csv`` (``frame,x1,y1,x2,y2`` and, where they are known,
-            ``annotator`` and ``label``) and ``empty.csv`` (``recording,frame``) of frames in which
-            there is nothing. Where they name a frame, the scene's own boxes of it are not used.
-        complete: Whether the tables name all that is to be seen in their frames. If not, and in
-            frames of which only the scene's boxes are known, only the boxes and a ring around each
-            are learned from, and the rest is left open.
+            ``annotator``, ``label`` and ``target``) and ``empty.csv`` (``recording,frame``) of
+            frames without the target. Where they name a frame, the scene's own boxes of it are not
+            used. A table in which every ``target`` is 1 names the target alone; any other names
+            all that is to be seen.
+        others: The share of the full score that is taught for boxes of the first class whose
+            ``target`` is 0. Below 1, what looks like the target is found with more confidence than
+            what is merely of its kind.
         margins: By source of boxes, what is added on every side. Annotators differ in how close
             they draw, and a network that learns from several wants one habit.
         ignored_names: Labels of things that are neither to be found nor wrong to find.
@@ -130,9 +136,50 @@ class Labels:
 
     class_names: tuple[str, ...] = ("boat", "sailboat")
     folders: tuple[Path, ...] = ()
-    complete: bool = True
+    others: float = 1.0
     margins: Mapping[str, Margin] = field(default_factory=dict)
     ignored_names: tuple[str, ...] = ("ignore",)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.others <= 1.0:
+            raise InputError(
+                f"other boats cannot be taught {self.others:g} of the full score; give a share "
+                "above 0 and up to 1"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Columns of `Picture`."""
+
+    boxes_xyxy_px: FloatArray
+    labels: IntArray
+    ignore: BoolArray
+    worth: FloatArray
+
+    def __getitem__(self, rows: Any) -> _Known:
+        return _Known(
+            self.boxes_xyxy_px[rows], self.labels[rows], self.ignore[rows], self.worth[rows]
+        )
+
+    def with_open(self, regions: FloatArray) -> _Known:
+        """And regions of which nothing is known."""
+        n = len(regions)
+        return _Known(
+            np.concatenate([self.boxes_xyxy_px, regions]),
+            np.concatenate([self.labels, np.zeros(n, dtype=np.int64)]),
+            np.concatenate([self.ignore, np.ones(n, dtype=bool)]),
+            np.concatenate([self.worth, np.ones(n)]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Boxes of a recording, and which of them are of the target."""
+
+    boxes: Boxes
+    target: BoolArray
+    complete: bool
 
 
 def scene_pictures(
@@ -179,10 +226,11 @@ def check_split(train: Sequence[Picture], names: Sequence[str], what: str) -> No
 def _recording_pictures(recording: Recording, labels: Labels) -> list[Picture]:
     drawn = recording.boxes() if recording.boxes_path is not None else None
     tables, empty = _tables(recording, labels)
-    named = empty.union(*(table.frame.tolist() for table in tables))
+    named = empty.union(*(table.boxes.frame.tolist() for table in tables))
     known = named.union([] if drawn is None else drawn.frame.tolist())
     if recording.source is None or not known:
         return []
+    complete = not tables or any(table.complete for table in tables)
     pictures = []
     for frame in recording.frames():
         if frame.index not in known:
@@ -192,34 +240,42 @@ def _recording_pictures(recording: Recording, labels: Labels) -> list[Picture]:
             boxes = _frame_boxes(frame.index, tables, labels)
         else:
             # Those of a scene are all of its target, whoever drew them.
-            boxes = _merged(*_frame_boxes(frame.index, [drawn] if drawn is not None else [], labels))
-        whole = labels.complete and frame.index in named
-        if whole or len(boxes[0]):
+            assert drawn is not None
+            own = _Table(drawn, np.ones(len(drawn), dtype=bool), complete=False)
+            boxes = _merged(_frame_boxes(frame.index, [own], labels))
+        whole = complete and frame.index in named
+        if whole or len(boxes.labels):
             pictures.append(_picture(recording.name, frame.index, image, boxes, whole))
     return pictures
 
 
-def _tables(recording: Recording, labels: Labels) -> tuple[list[Boxes], set[int]]:
-    """The tables of a recording, and its frames without anything."""
-    tables: list[Boxes] = []
+def _tables(recording: Recording, labels: Labels) -> tuple[list[_Table], set[int]]:
+    """The tables of a recording, and its frames without the target."""
+    tables: list[_Table] = []
     empty: set[int] = set()
     for folder in labels.folders:
         if not folder.is_dir():
-            raise InputError(f"{folder}: is no folder; expected one with tables of boxes, as 07.csv")
+            raise InputError(
+                f"{folder}: is no folder; expected one with tables of boxes, as 07.csv"
+            )
         # The tables may lie in a folder of their own, beside the list of empty frames.
         inner = folder / "boxes" if (folder / "boxes").is_dir() else folder
         path = inner / f"{recording.name}.csv"
+        without = _empty_frames(folder / _EMPTY_TABLE, recording.name)
         if path.exists():
-            tables.append(_table(path))
-        empty |= _empty_frames(folder / _EMPTY_TABLE, recording.name)
+            tables.append(_table(path, may_be_empty=bool(without)))
+        empty |= without
     return tables, empty
 
 
-def _table(path: Path) -> Boxes:
+def _table(path: Path, may_be_empty: bool) -> _Table:
     corners = ("x1", "y1", "x2", "y2")
     rows = next(_files.table(path, required=("frame", *corners), text=("annotator", "label")))
-    if not len(rows):
-        raise InputError(f"{path}: has a header and no boxes; add some, or remove the file")
+    if not len(rows) and not may_be_empty:
+        raise InputError(
+            f"{path}: has a header and no boxes; add some, or remove the file, or name its frames "
+            f"without the target in {_EMPTY_TABLE}"
+        )
     xyxy_px = np.column_stack([_files.numbers(path, rows[name]) for name in corners])
     usable(path, rows.index, xyxy_px, skip_empty=False)
 
@@ -227,7 +283,11 @@ def _table(path: Path) -> Boxes:
         return rows[column].fillna("").astype(str).str.strip().tolist() if column in rows else ""
 
     frames = _files.whole_numbers(path, rows["frame"])
-    return Boxes.of(xyxy_px, frame=frames, source=text("annotator"), label=text("label"))
+    boxes = Boxes.of(xyxy_px, frame=frames, source=text("annotator"), label=text("label"))
+    if "target" not in rows:
+        return _Table(boxes, np.ones(len(boxes), dtype=bool), complete=True)
+    target = np.asarray(_files.whole_numbers(path, rows["target"]) != 0)
+    return _Table(boxes, target, complete=not target.all())
 
 
 def _empty_frames(path: Path, name: str) -> set[int]:
@@ -240,38 +300,37 @@ def _empty_frames(path: Path, name: str) -> set[int]:
     return found
 
 
-def _frame_boxes(
-    frame: int, tables: Sequence[Boxes], labels: Labels
-) -> tuple[FloatArray, IntArray, BoolArray]:
-    """Boxes, labels and whether to ignore, of a frame."""
+def _frame_boxes(frame: int, tables: Sequence[_Table], labels: Labels) -> _Known:
+    """What is known of a frame."""
     position = {name: i for i, name in enumerate(labels.class_names)}
     corners: list[FloatArray] = []
     kinds: list[int] = []
     ignored: list[bool] = []
+    worth: list[float] = []
     for table in tables:
-        rows = np.flatnonzero(table.frame == frame)
-        for xyxy, source, label in zip(
-            table.xyxy_px[rows], table.source[rows], table.label[rows], strict=True
-        ):
-            ignore = str(label) in labels.ignored_names
-            kind = position.get(str(label) or labels.class_names[0], -1)
+        boxes = table.boxes
+        for row in np.flatnonzero(boxes.frame == frame):
+            name, source = str(boxes.label[row]), str(boxes.source[row])
+            ignore = name in labels.ignored_names
+            kind = position.get(name or labels.class_names[0], -1)
             if kind < 0 and not ignore:
                 # Something else: to be told from what is looked for, so it is background.
                 continue
-            corners.append(labels.margins.get(str(source), Margin()).widened(xyxy))
+            corners.append(labels.margins.get(source, Margin()).widened(boxes.xyxy_px[row]))
             kinds.append(max(kind, 0))
             ignored.append(ignore)
-    return (
+            worth.append(labels.others if kind == 0 and not table.target[row] else 1.0)
+    return _Known(
         np.array(corners, dtype=float).reshape(-1, 4),
         np.array(kinds, dtype=np.int64),
         np.array(ignored, dtype=bool),
+        np.array(worth, dtype=float),
     )
 
 
-def _merged(
-    corners: FloatArray, labels: IntArray, ignore: BoolArray
-) -> tuple[FloatArray, IntArray, BoolArray]:
+def _merged(known: _Known) -> _Known:
     """One box for those that are of one boat: their mean, or the larger where one is a part."""
+    corners = known.boxes_xyxy_px
     used = np.zeros(len(corners), dtype=bool)
     boxes, first = [], []
     areas = (corners[:, 2:] - corners[:, :2]).prod(axis=1)
@@ -286,29 +345,27 @@ def _merged(
         used |= same | part
         boxes.append(corners[same].mean(axis=0))
         first.append(int(i))
-    rows = np.array(first, dtype=np.int64)
-    return np.array(boxes, dtype=float).reshape(-1, 4), labels[rows], ignore[rows]
+    chosen = known[np.array(first, dtype=np.int64)]
+    return replace(chosen, boxes_xyxy_px=np.array(boxes, dtype=float).reshape(-1, 4))
 
 
 def _picture(
-    recording: str,
-    frame: int,
-    image: Image,
-    known: tuple[FloatArray, IntArray, BoolArray],
-    whole: bool,
-    real: bool = True,
+    recording: str, frame: int, image: Image, known: _Known, whole: bool, real: bool = True
 ) -> Picture:
-    boxes, labels, ignore = known
     height, width = image.shape[:2]
     if not whole:
-        open_regions = _around(boxes[~ignore], width, height)
-        boxes = np.concatenate([boxes, open_regions])
-        labels = np.concatenate([labels, np.zeros(len(open_regions), dtype=np.int64)])
-        ignore = np.concatenate([ignore, np.ones(len(open_regions), dtype=bool)])
-    boxes = boxes.clip(0.0, [width, height, width, height])
+        known = known.with_open(_around(known.boxes_xyxy_px[~known.ignore], width, height))
+    boxes = known.boxes_xyxy_px.clip(0.0, [width, height, width, height])
     kept = ((boxes[:, 2:] - boxes[:, :2]) > 1.0).all(axis=1)
     return Picture(
-        recording, frame, image, boxes[kept].astype(np.float32), labels[kept], ignore[kept], real
+        recording=recording,
+        frame=frame,
+        image=image,
+        boxes_xyxy_px=boxes[kept].astype(np.float32),
+        labels=known.labels[kept],
+        ignore=known.ignore[kept],
+        worth=known.worth[kept].astype(np.float32),
+        real=real,
     )
 
 
@@ -352,6 +409,7 @@ def backgrounds(pictures: Sequence[Picture]) -> list[Picture]:
                     np.zeros((0, 4), np.float32),
                     np.zeros(0, np.int64),
                     np.zeros(0, bool),
+                    np.zeros(0, np.float32),
                 )
             )
     return made
@@ -380,7 +438,7 @@ def sprites(pictures: Sequence[Picture]) -> list[Sprite]:
             continue
         height, width = picture.image.shape[:2]
         boxes = picture.boxes_xyxy_px[~picture.ignore]
-        labels = picture.labels[~picture.ignore]
+        labels, worth = picture.labels[~picture.ignore], picture.worth[~picture.ignore]
         for i, (x1, y1, x2, y2) in enumerate(boxes.astype(float)):
             inside = x1 > 2 and y1 > 2 and x2 < width - 2 and y2 < height - 2
             others = np.delete(boxes, i, axis=0)
@@ -394,7 +452,7 @@ def sprites(pictures: Sequence[Picture]) -> list[Sprite]:
                 continue
             sprite = _cut(picture, background, np.array([x1, y1, x2, y2]), int(labels[i]))
             if sprite is not None:
-                found.append(sprite)
+                found.append(replace(sprite, worth=float(worth[i])))
     return found
 
 
@@ -489,25 +547,9 @@ def synthetic_pictures(
             ]
             hidden_boxes = np.array(hidden, dtype=float).reshape(-1, 4)
             hidden_boxes = hidden_boxes[np.isfinite(hidden_boxes).all(axis=1)]
-            known = numbers >= 0
-            made.append(
-                _picture(
-                    SYNTHETIC,
-                    len(made),
-                    image,
-                    (
-                        np.concatenate([boxes[known], hidden_boxes]),
-                        np.concatenate(
-                            [numbers[known], np.zeros(len(hidden_boxes), dtype=np.int64)]
-                        ),
-                        np.concatenate(
-                            [np.zeros(int(known.sum()), bool), np.ones(len(hidden_boxes), bool)]
-                        ),
-                    ),
-                    whole=True,
-                    real=False,
-                )
-            )
+            everything = _Known(boxes, numbers, numbers < 0, np.ones(len(numbers)))
+            everything = everything[~everything.ignore].with_open(hidden_boxes)
+            made.append(_picture(SYNTHETIC, len(made), image, everything, whole=True, real=False))
             if progress is not None:
                 progress(len(made) / count)
     return made

@@ -132,9 +132,7 @@ def _dynamic_axes(
         shape[3] + 2 * stride * info.dynamic_size,
     )
     with torch.no_grad():
-        before, after = (
-            _several(module(_noise(one, info, 0))) for one in (shape, larger)
-        )
+        before, after = (_several(module(_noise(one, info, 0))) for one in (shape, larger))
     for name, small, large in zip(info.output_names, before, after, strict=True):
         differing = [i for i in range(small.ndim) if small.shape[i] != large.shape[i]]
         axes[name] = {

@@ -213,7 +213,8 @@ class HarbourDetector:
             with torch.no_grad():
                 cell, box, share = _assign(logits[i].detach(), boxes[i].detach(), cells, target)
                 weight[i] = ~_ignored(cells, target)
-                quality[i, cell, target.labels[box]] = share
+                taught = share if target.worth is None else share * target.worth[box]
+                quality[i, cell, target.labels[box]] = taught
                 weight[i, cell] = 1.0
             chosen_boxes.append(boxes[i, cell])
             wanted_boxes.append(target.boxes_xyxy_px[box])

@@ -37,7 +37,14 @@ HISTORY = "history.csv"
 CONFIGURATION = "config.json"
 
 _FORMAT = 1
-_LIBRARIES = ("sightline", "torch", "torchvision", "albumentations", "numpy", "opencv-python-headless")
+_LIBRARIES = (
+    "sightline",
+    "torch",
+    "torchvision",
+    "albumentations",
+    "numpy",
+    "opencv-python-headless",
+)
 _LEAST_SCORE = 0.01
 _CLIP = 10.0
 
@@ -323,9 +330,7 @@ def _line(state: _State, settings: TrainingSettings, losses: Mapping[str, float]
 
 
 @torch.no_grad()
-def validate(
-    trainable: Trainable, pictures: Sequence[Picture], device: torch.device
-) -> Validation:
+def validate(trainable: Trainable, pictures: Sequence[Picture], device: torch.device) -> Validation:
     """Look for boats in whole pictures at their own scale.
 
     Args:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -156,12 +157,12 @@ def train_detector(
         "data": data,
         "sprites": len(pasted),
         "margins": {name: str(one) for name, one in recipe.labels.margins.items()},
-        "complete": recipe.labels.complete,
+        "others": recipe.labels.others,
         "size_px": list(size),
         "batch": recipe.batch,
         "augmentation": recipe.augmentation.to_dict(),
         "options": dict(recipe.options),
-        "initial": None if recipe.initial is None else recipe.initial.name,
+        "initial": None if recipe.initial is None else _sha256(recipe.initial),
     }
     result = train(
         trainable, batches, validation, recipe.training, folder, configuration, progress=progress
@@ -184,6 +185,10 @@ def train_detector(
         training=result,
         data=data,
     )
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _silent(_what: str, _share: float) -> None:

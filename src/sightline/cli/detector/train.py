@@ -48,13 +48,13 @@ def train(
             "the scene's boxes in their frames. May be given several times.",
         ),
     ] = None,
-    complete: Annotated[
-        bool,
+    others: Annotated[
+        float,
         typer.Option(
-            "--complete/--target-only",
-            help="Whether these tables name all that is to be seen in their frames.",
+            help="Share of the full score that is taught for boats that a table marks as other than "
+            "the target."
         ),
-    ] = True,
+    ] = 1.0,
     classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = (
         "boat,sailboat"
     ),
@@ -89,9 +89,7 @@ def train(
     ] = True,
     option: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE", help="Of the architecture. May be given several times."
-        ),
+        typer.Option(metavar="NAME=VALUE", help="Of the architecture. May be given several times."),
     ] = None,
     initial: Annotated[
         Path | None,
@@ -132,7 +130,7 @@ def train(
         labels=Labels(
             class_names=_names(classes),
             folders=tuple(labels or []),
-            complete=complete,
+            others=others,
             margins=parse_margins(margin or []),
         ),
         synthetic=synthetic,
