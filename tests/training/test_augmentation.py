@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from conftest import BOAT_RGB, SIZE_PX, picture
 from sightline.errors import InputError
 from sightline.training.augmentation import Augmentation, Batches
 from sightline.training.data import Picture, Sprite
-from conftest import BOAT_RGB, SIZE_PX, picture
 
 PLAIN = Augmentation(
     rotation=False,

@@ -36,7 +36,7 @@ SMALL = {"harbour": {"width": 0.5}}
 THERE = [name for name in ARCHITECTURES if importlib.util.find_spec(_MODULES[name])]
 
 
-class Killed(Exception):
+class KilledError(Exception):
     pass
 
 
@@ -68,7 +68,7 @@ def _train(folder: Path, name: str, steps: int, kill_at: int = 0) -> Trainable:
 
     def tell(_what: str, share: float) -> None:
         if kill_at and share * steps > kill_at - 0.5:
-            raise Killed
+            raise KilledError
 
     settings = TrainingSettings(
         steps=steps, warmup=2, validate_every=2, checkpoint_every=1, device="cpu", threads=1
@@ -83,7 +83,7 @@ def test_each_architecture_trains_resumes_and_exports(name: str, tmp_path: Path)
     for folder in (whole, killed):
         folder.mkdir()
     _train(whole, name, 4)
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         # Step 3 is done when the kill comes, and its checkpoint is not yet written.
         _train(killed, name, 4, kill_at=3)
     trainable = _train(killed, name, 4)
@@ -169,7 +169,7 @@ class _Fixed:
     def losses(self, images: torch.Tensor, targets: object) -> dict[str, torch.Tensor]:
         raise NotImplementedError
 
-    def predict(self, images: torch.Tensor, threshold: float) -> list[Prediction]:
+    def predict(self, *_args: object) -> list[Prediction]:
         return [next(self._found)]
 
     def export_module(self) -> object:

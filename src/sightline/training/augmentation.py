@@ -195,7 +195,7 @@ class Batches:
         boxes = _Boxes(corners, picture.labels, picture.ignore, picture.worth)
         boxes = _clipped(corners, boxes, (0, 0, width, height), self._smallest)
         if paste:
-            image, boxes = self._paste(rng, image, boxes, x, y, scale)
+            image, boxes = self._paste(rng, image, boxes, y, scale)
         return image, boxes
 
     def _choose(self, rng: np.random.Generator) -> tuple[Picture, bool]:
@@ -237,7 +237,6 @@ class Batches:
         rng: np.random.Generator,
         image: Image,
         boxes: _Boxes,
-        x: float,
         y: float,
         scale: float,
     ) -> tuple[Image, _Boxes]:
@@ -247,7 +246,7 @@ class Batches:
         for _ in range(1 + int(rng.random() < 0.35)):
             sprite = self._sprites[int(rng.integers(len(self._sprites)))]
             for _ in range(_TRIES):
-                placed = self._place(rng, sprite, known, x, y, scale)
+                placed = self._place(rng, sprite, known, y, scale)
                 if placed is not None:
                     resize, left, top = placed
                     corners = _laid(rng, image, sprite, resize, left, top)
@@ -268,7 +267,6 @@ class Batches:
         rng: np.random.Generator,
         sprite: Sprite,
         boxes: _Boxes,
-        x: float,
         y: float,
         scale: float,
     ) -> tuple[float, float, float] | None:
@@ -443,7 +441,7 @@ def _laid(
         region = image[y1:y2, x1:x2].astype(np.float32)
         mixed = region * (1.0 - share) + colour[own] * share
         image[y1:y2, x1:x2] = np.clip(mixed, 0.0, 255.0).astype(np.uint8)
-    return box + np.array([x, y, x, y])
+    return np.asarray(box + np.array([x, y, x, y]))
 
 
 def _clipped(
@@ -452,7 +450,7 @@ def _clipped(
     window: tuple[float, float, float, float],
     smallest_px: tuple[float, float],
 ) -> _Boxes:
-    """Boxes within a window; of those mostly outside, or too small, only that something is there."""
+    """Boxes within a window; those mostly outside, or too small, are ignored."""
     low, high = np.array(window[:2], dtype=float), np.array(window[2:], dtype=float)
     inside = corners.copy().reshape(-1, 4)
     inside[:, [0, 2]] = inside[:, [0, 2]].clip(low[0], high[0])

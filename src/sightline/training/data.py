@@ -218,8 +218,8 @@ def check_split(train: Sequence[Picture], names: Sequence[str], what: str) -> No
     if not any(len(picture.labels) and not picture.ignore.all() for picture in train):
         listed = ", ".join(names) if names else "none"
         raise InputError(
-            f"the recordings for {what} ({listed}) have no boxes in pictures that exist; name others "
-            f"with --{what}, or add boxes to the scene"
+            f"the recordings for {what} ({listed}) have no boxes in pictures that exist; "
+            f"name others with --{what}, or add boxes to the scene"
         )
 
 

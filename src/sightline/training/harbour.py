@@ -51,7 +51,7 @@ def build(
     return HarbourDetector(class_names, width=width, score_threshold=score_threshold)
 
 
-class _Convolution(nn.Sequential):
+class _Convolution(nn.Sequential):  # type: ignore[misc]
     """Convolution, normalisation, rectifier."""
 
     def __init__(self, inputs: int, outputs: int, size: int = 3, stride: int = 1) -> None:
@@ -62,7 +62,7 @@ class _Convolution(nn.Sequential):
         )
 
 
-class _Stage(nn.Module):
+class _Stage(nn.Module):  # type: ignore[misc]
     """Halves the picture, then refines a half of the channels and keeps what each step gave."""
 
     def __init__(self, inputs: int, outputs: int, steps: int) -> None:
@@ -82,7 +82,7 @@ class _Stage(nn.Module):
         return cast(Tensor, self.merge(torch.cat(parts, dim=1)))
 
 
-class _Context(nn.Module):
+class _Context(nn.Module):  # type: ignore[misc]
     """Adds what is around: maxima over growing windows."""
 
     def __init__(self, channels: int) -> None:
@@ -98,7 +98,7 @@ class _Context(nn.Module):
         return cast(Tensor, self.merge(torch.cat(parts, dim=1)))
 
 
-class HarbourNetwork(nn.Module):
+class HarbourNetwork(nn.Module):  # type: ignore[misc]
     """Pictures in; logits and edge distances of every cell out."""
 
     def __init__(self, classes: int, width: float = 1.0) -> None:
@@ -174,7 +174,7 @@ class HarbourNetwork(nn.Module):
         return torch.cat(logits, 1), torch.cat(boxes, 1), torch.cat(cells, 0)
 
 
-class _Exported(nn.Module):
+class _Exported(nn.Module):  # type: ignore[misc]
     """One output (B, 4 + classes, N): centre, width and height in px, and scores."""
 
     def __init__(self, network: HarbourNetwork) -> None:
@@ -236,11 +236,11 @@ class HarbourDetector:
             "edge": _EDGE_WEIGHT * (edges * share).sum() / total,
         }
 
-    @torch.no_grad()
     def predict(self, images: Tensor, threshold: float) -> list[Prediction]:
         """What is in a batch; see `Trainable`."""
-        logits, boxes, _ = self.network(images)
-        scores = logits.sigmoid()
+        with torch.no_grad():
+            logits, boxes, _ = self.network(images)
+            scores = logits.sigmoid()
         found = []
         for score, box in zip(scores, boxes, strict=True):
             cell, label = (score > threshold).nonzero(as_tuple=True)
@@ -273,9 +273,9 @@ def _assign(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Which cells are to find which boxes (Feng et al. 2021, equations 1 and 4).
 
-    Candidates are the cells whose middle lies in a box or within one and a half cells of its middle.
-    Each box takes those that agree best with it in score and overlap; a cell that several boxes
-    want goes to the one that it overlaps most.
+    Candidates are the cells whose middle lies in a box or within one and a half cells of its
+    middle. Each box takes those that agree best with it in score and overlap; a cell that several
+    boxes want goes to the one that it overlaps most.
 
     Args:
         logits: (N, C).

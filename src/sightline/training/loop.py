@@ -305,7 +305,8 @@ def _autocast(device: torch.device, precision: str) -> AbstractContextManager[An
 
 
 def _groups(module: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
-    decayed, free = [], []
+    decayed: list[nn.Parameter] = []
+    free: list[nn.Parameter] = []
     for parameter in module.parameters():
         if parameter.requires_grad:
             (decayed if parameter.ndim > 1 else free).append(parameter)
@@ -329,7 +330,6 @@ def _line(state: _State, settings: TrainingSettings, losses: Mapping[str, float]
 # ---- judging ----------------------------------------------------------------------------------
 
 
-@torch.no_grad()
 def validate(trainable: Trainable, pictures: Sequence[Picture], device: torch.device) -> Validation:
     """Look for boats in whole pictures at their own scale.
 
@@ -345,7 +345,8 @@ def validate(trainable: Trainable, pictures: Sequence[Picture], device: torch.de
     for picture in pictures:
         image = torch.from_numpy(_padded(picture.image, trainable.stride).transpose(2, 0, 1).copy())
         batch = (image[None].float() / 255.0).to(device, memory_format=torch.channels_last)
-        prediction = trainable.predict(batch, _LEAST_SCORE)[0]
+        with torch.no_grad():
+            prediction = trainable.predict(batch, _LEAST_SCORE)[0]
         found.append(
             (
                 prediction.boxes_xyxy_px.float().cpu().numpy(),
@@ -595,7 +596,7 @@ def _write_configuration(folder: Path, content: Mapping[str, Any]) -> None:
         return
     with atomic_path(path) as temporary:
         temporary.write_text(
-            json.dumps(content | {"versions": versions()}, indent=2) + "\n", encoding="utf-8"
+            json.dumps({**content, "versions": versions()}, indent=2) + "\n", encoding="utf-8"
         )
 
 

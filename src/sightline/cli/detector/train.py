@@ -51,8 +51,8 @@ def train(
     others: Annotated[
         float,
         typer.Option(
-            help="Share of the full score that is taught for boats that a table marks as other than "
-            "the target."
+            help="Share of the full score that is taught for boats that a table marks as others "
+            "than the target."
         ),
     ] = 1.0,
     classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = (
