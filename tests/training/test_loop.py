@@ -10,11 +10,11 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from pond import picture
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 from safetensors.torch import load_file
 
-from conftest import picture
 from sightline.errors import InputError
 from sightline.training import ARCHITECTURES, Prediction, Target, Trainable, build
 from sightline.training.architecture import _MODULES

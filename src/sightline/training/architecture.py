@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
+from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, Protocol
 
 from sightline.errors import unknown_name
@@ -197,4 +198,12 @@ def build(name: str, class_names: Sequence[str], **options: Any) -> Trainable:
         raise unknown_name("architecture", name, ARCHITECTURES)
     _extras.module("torch", "train")
     make: Callable[..., Trainable] = import_module(_MODULES[name]).build
+    known = [
+        parameter.name
+        for parameter in signature(make).parameters.values()
+        if parameter.kind is Parameter.KEYWORD_ONLY
+    ]
+    for option in options:
+        if option not in known:
+            raise unknown_name(f"option of {name}", option, known)
     return make(name, tuple(class_names), **options)

@@ -46,8 +46,8 @@ def build(
     Raises:
         InputError: The width is not positive.
     """
-    if not width > 0.0:
-        raise InputError(f"{name}: a width of {width:g} is not positive; 1 is what ships")
+    if not isinstance(width, int | float) or not width > 0.0:
+        raise InputError(f"{name}: a width of {width} is not positive; 1 is what ships")
     return HarbourDetector(class_names, width=width, score_threshold=score_threshold)
 
 

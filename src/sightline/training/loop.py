@@ -290,9 +290,11 @@ def _step(
 
 
 def _rate_factor(number: int, settings: TrainingSettings) -> float:
-    if number < settings.warmup:
-        return (number + 1.0) / settings.warmup
-    share = (number - settings.warmup) / max(1, settings.steps - settings.warmup)
+    # Short trainings have short beginnings.
+    warmup = min(settings.warmup, settings.steps // 5)
+    if number < warmup:
+        return (number + 1.0) / warmup
+    share = (number - warmup) / max(1, settings.steps - warmup)
     cosine = 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
     return settings.last_rate + (1.0 - settings.last_rate) * cosine
 
