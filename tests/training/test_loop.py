@@ -152,7 +152,7 @@ def test_an_open_region_teaches_nothing() -> None:
         torch.ones(1, dtype=torch.bool),
     )
     losses = trainable.losses(torch.rand(1, 3, 64, 64), [everywhere])
-    assert float(losses["class"]) == 0.0
+    assert losses["class"].item() == 0.0
 
 
 class _Fixed:
