@@ -1,0 +1,1 @@
+"""The Darknet family: networks from the published ``.cfg``, with ``.weights`` in and out."""
