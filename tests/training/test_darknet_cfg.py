@@ -125,8 +125,10 @@ WITH_ROUTE = NET + CONVOLUTION + "activation=mish\n" + CONVOLUTION + "activation
         (NET, r"has no \[yolo\]"),
         (
             SMALL + "[lstm]\nbatch_normalize=1\n",
-            r"line 21: unknown section \[lstm\]; known are \[net\], \[convolutional\], \[shortcut\]"
-            r", \[route\], \[upsample\], \[maxpool\], \[dropout\], \[yolo\]",
+            (
+                r"line 21: unknown section \[lstm\]; known are \[net\], \[convolutional\], "
+                r"\[shortcut\], \[route\], \[upsample\], \[maxpool\], \[dropout\], \[yolo\]"
+            ),
         ),
         (SMALL.replace("leaky", "snake"), r"line 5, \[convolutional\]: unknown activation 'snake'"),
         (SMALL.replace("filters=14", "filters=15"), r"2 anchors and 2 classes need 14 filters"),
@@ -149,7 +151,10 @@ WITH_ROUTE = NET + CONVOLUTION + "activation=mish\n" + CONVOLUTION + "activation
         (WITH_ROUTE + "[route]\nlayers=2\n", r"layers=2 leads to no layer"),
         (WITH_ROUTE + "[route]\nlayers=0,1\n", r"layer 1 gives 16 x 8, and layer 0 32 x 16"),
         (WITH_ROUTE + "[shortcut]\nfrom=0\n", r"layer 0 gives 32 x 16, .* cannot be added"),
-        (WITH_ROUTE + "[shortcut]\nfrom=0\nweights_type=per_feature\n", r"weights_type=per_feature"),
+        (
+            WITH_ROUTE + "[shortcut]\nfrom=0\nweights_type=per_feature\n",
+            r"weights_type=per_feature",
+        ),
         (WITH_ROUTE + "[route]\nlayers=-1\ngroups=3\n", r"8 channels of layer 1 .* 3 groups"),
         (WITH_ROUTE + "[route]\nlayers=-1\ngroups=2\ngroup_id=2\n", r"less than groups=2"),
         (WITH_ROUTE + "[maxpool]\nsize=40\npadding=0\n", r"nothing is left of a picture"),
