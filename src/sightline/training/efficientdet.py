@@ -145,7 +145,11 @@ def _flat(logits: Sequence[Tensor], offsets: Sequence[Tensor]) -> tuple[Tensor, 
 
     def join(levels: Sequence[Tensor]) -> Tensor:
         width = levels[0].shape[1] // anchors
-        flat = [level.permute(0, 2, 3, 1).reshape(len(level), -1, width) for level in levels]
+        flat = [
+            # Not len(level): that would be a constant of an exported file.
+            level.permute(0, 2, 3, 1).reshape(level.shape[0], -1, width)
+            for level in levels
+        ]
         return torch.cat(flat, dim=1)
 
     return join(logits), join(offsets)
