@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,12 @@ TOLERANCE = 1e-4
 """Largest difference between file and network, absolute where values are below 1, else relative."""
 
 _FORMAT = 1
+_CHOSEN = "torchvision"
+"""The decoder of outputs from which boxes that overlap were left out already."""
+_SAME_PX = 1.0
+"""Corners of what is the same box in two lists."""
+_LEAST_SCORE = 0.001
+"""Above the lowest score of a list: what is nearer to it may be in one list and not in another."""
 
 
 class ExportError(SightlineError):
@@ -36,6 +43,7 @@ def export_onnx(
     path: Path,
     *,
     size_px: tuple[int, int] = (640, 384),
+    fixed: bool = False,
     default_classes: tuple[str, ...] | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> float:
@@ -44,7 +52,8 @@ def export_onnx(
     Args:
         trainable: The network; goes to evaluation mode, on the CPU.
         path: The file.
-        size_px: Width and height of the picture that it is traced with.
+        size_px: Width and height of the picture that it is traced with, rounded up to strides.
+        fixed: Whether the file takes pictures of this size alone. Some runtimes are faster so.
         default_classes: What is looked for when nobody says; absent: the first class.
         about: More for the metadata.
 
@@ -59,6 +68,8 @@ def export_onnx(
     trainable.module.to("cpu").eval()
     module, info = trainable.export_module()
     module.eval()
+    if fixed:
+        info = replace(info, dynamic_size=False, dynamic_batch=False, input_size_px=size_px)
     width, height = info.input_size_px or size_px
     stride = info.input_format.stride
     shape = (1, 3, -(-height // stride) * stride, -(-width // stride) * stride)
@@ -91,6 +102,31 @@ def export_onnx(
     return difference
 
 
+def _paired(
+    wanted: tuple[torch.Tensor, ...], given: list[np.ndarray[Any, Any]]
+) -> tuple[tuple[torch.Tensor, ...], list[np.ndarray[Any, Any]]]:
+    """Lists of boxes, labels and scores, the second in the order of the first.
+
+    A difference in the last digit changes the order of boxes that are equally sure.
+    """
+    boxes, labels, scores = (output.numpy() for output in wanted)
+    floor = min(scores.min(initial=1.0), given[2].min(initial=1.0)) + _LEAST_SCORE
+    kept, partners = [], []
+    free = np.ones(len(given[0]), bool)
+    for number in np.flatnonzero(scores > floor):
+        apart = np.abs(given[0] - boxes[number]).max(axis=1)
+        fits = free & (given[1] == labels[number]) & (apart < _SAME_PX)
+        if not fits.any():
+            return wanted, [output[:0] for output in given]
+        partner = int(np.argmin(np.where(fits, apart, np.inf)))
+        free[partner] = False
+        kept.append(number)
+        partners.append(partner)
+    if (free & (given[2] > floor)).any():
+        return wanted, [output[:0] for output in given]
+    return tuple(output[kept] for output in wanted), [output[partners] for output in given]
+
+
 def _metadata(
     trainable: Trainable,
     info: ExportInfo,
@@ -105,10 +141,12 @@ def _metadata(
         "decoder": info.decoder,
         "architecture": trainable.name,
         "classes": list(trainable.class_names),
-        "default_classes": list(default_classes or trainable.class_names[:1]),
         "input": given,
         "score_threshold": info.score_threshold,
     }
+    default = default_classes or trainable.class_names[:1]
+    if set(default) != set(trainable.class_names):
+        content["default_classes"] = list(default)
     if info.views:
         content["views"] = dict(info.views)
     return content | dict(info.extra)
@@ -171,6 +209,8 @@ def _difference(module: nn.Module, path: Path, shape: tuple[int, ...], info: Exp
         with torch.no_grad():
             wanted = _several(module(picture))
         given = session.run(None, {info.input_names[0]: picture.numpy()})
+        if info.decoder == _CHOSEN:
+            wanted, given = _paired(wanted, given)
         for ours, theirs in zip(wanted, given, strict=True):
             expected = ours.double().numpy()
             if expected.shape != theirs.shape:
