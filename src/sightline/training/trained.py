@@ -114,6 +114,4 @@ def read_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 
 def _are_names(value: Any) -> bool:
-    return (
-        isinstance(value, list) and bool(value) and all(isinstance(name, str) for name in value)
-    )
+    return isinstance(value, list) and bool(value) and all(isinstance(name, str) for name in value)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import typer
 
 from sightline.cli.detector.evaluate import evaluate
+from sightline.cli.detector.export import export
 from sightline.cli.detector.label import label
+from sightline.cli.detector.train import train
 
 detector = typer.Typer(
     name="detector",
-    help="Measure detectors, and make what they learn from.",
+    help="Label, train, measure and export detectors.",
     no_args_is_help=True,
 )
-for command in (evaluate, label):
+for command in (label, train, evaluate, export):
     detector.command()(command)

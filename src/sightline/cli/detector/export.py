@@ -1,0 +1,129 @@
+"""`sightline detector export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.common import JsonOption, keep_apart, progress, say, write_result
+from sightline.errors import InputError, unknown_name
+from sightline.formats import _extras
+from sightline.training.darknet.cfg import PUBLISHED
+
+
+def export(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="DIR|CFG",
+            help="The folder that detector train left; or a Darknet .cfg, or the name of a "
+            f"published one: {', '.join(PUBLISHED)}.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", dir_okay=False, help="The ONNX file."),
+    ],
+    weights: Annotated[
+        Path | None,
+        typer.Argument(metavar="[WEIGHTS]", help="With a .cfg: the .weights that belongs to it."),
+    ] = None,
+    names: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With a .cfg: a class in a line. Absent: COCO's, if there are 80 classes.",
+        ),
+    ] = None,
+    classes: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME,...", help="What is looked for when nobody says; absent: all of a .cfg."
+        ),
+    ] = "",
+    size: Annotated[
+        str,
+        typer.Option(
+            metavar="WxH",
+            help="Let the file take pictures of this size alone, px, rounded up to what the "
+            "network can take. Absent: any size.",
+        ),
+    ] = "",
+    json: JsonOption = None,
+) -> None:
+    """Write a detector as an ONNX file, and check that file against the network."""
+    _extras.module("torch", "train")
+    # Late: without torch the other commands must work.
+    from sightline.training.export import export_onnx
+    from sightline.training.trained import load_darknet, load_trained
+
+    keep_apart([output, json], [source, weights, names])
+    if output.suffix != ".onnx":
+        raise InputError(f"{output}: the file of a detector must end in .onnx")
+    size_px = _size(size)
+    darknet = source in PUBLISHED or source.endswith(".cfg")
+    if darknet and weights is None:
+        raise InputError(
+            f"{source}: says how the network is built, not what it has learned; give the "
+            ".weights behind it"
+        )
+    if not darknet and (weights is not None or names is not None):
+        raise InputError(f"{source}: is no .cfg, and only a .cfg goes with .weights and --names")
+    with progress() as tell:
+        tell("reading the network", float("nan"))
+        if weights is not None:
+            trainable = load_darknet(source, weights, names)
+        else:
+            trainable = load_trained(source)
+        wanted = _names(classes, trainable.class_names)
+        if not wanted and darknet:
+            wanted = trainable.class_names
+        tell("exporting", float("nan"))
+        difference = export_onnx(
+            trainable,
+            output,
+            fixed=bool(size_px),
+            default_classes=wanted or None,
+            **({"size_px": size_px} if size_px else {}),
+        )
+    count = len(trainable.class_names)
+    write_result(
+        json,
+        {
+            "detector": str(output),
+            "architecture": trainable.name,
+            "classes": list(trainable.class_names),
+            "parameters": sum(p.numel() for p in trainable.module.parameters()),
+            "export_difference": difference,
+        },
+    )
+    say(
+        f"{trainable.name}, {count} class{'es' * (count != 1)}: the file differs from the network "
+        f"by {difference:.1g}"
+    )
+    say(f"detector: {output}")
+
+
+def _names(text: str, known: tuple[str, ...]) -> tuple[str, ...]:
+    names = tuple(name for name in (part.strip() for part in text.split(",")) if name)
+    for name in names:
+        if name not in known:
+            raise unknown_name("class", name, known)
+    return names
+
+
+def _size(text: str) -> tuple[int, int] | None:
+    if not text:
+        return None
+    width, _, height = text.lower().partition("x")
+    try:
+        size = int(width), int(height)
+    except ValueError as error:
+        raise InputError(
+            f"--size {text!r}: expected width and height in px, for example 640x384"
+        ) from error
+    if not 32 <= min(size) <= max(size) <= 8192:
+        raise InputError(f"--size {text!r}: width and height must lie between 32 and 8192 px")
+    return size
