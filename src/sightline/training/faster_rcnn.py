@@ -92,7 +92,7 @@ class FasterRcnnDetector:
 
 
 class _One(nn.Module):  # type: ignore[misc]
-    """Takes a picture, and counts classes from the first that is something."""
+    """Takes a picture; classes are counted from 1, as the decoder knows it of torchvision."""
 
     def __init__(self, rcnn: nn.Module) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class _One(nn.Module):  # type: ignore[misc]
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         (found,) = self.rcnn([images[0]])
-        return found["boxes"], found["labels"] - 1, found["scores"]
+        return found["boxes"], found["labels"], found["scores"]
 
 
 class _Proposals(RegionProposalNetwork):  # type: ignore[misc]

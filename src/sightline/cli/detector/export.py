@@ -10,7 +10,10 @@ import typer
 from sightline.cli.common import JsonOption, keep_apart, progress, say, write_result
 from sightline.errors import InputError, unknown_name
 from sightline.formats import _extras
+from sightline.training.architecture import Trainable
 from sightline.training.darknet.cfg import PUBLISHED
+
+_USUAL_SIZE_PX = (640, 384)
 
 
 def export(
@@ -73,6 +76,7 @@ def export(
         raise InputError(f"{source}: is no .cfg, and only a .cfg goes with .weights and --names")
     with progress() as tell:
         tell("reading the network", float("nan"))
+        trainable: Trainable
         if weights is not None:
             trainable = load_darknet(source, weights, names)
         else:
@@ -84,9 +88,9 @@ def export(
         difference = export_onnx(
             trainable,
             output,
-            fixed=bool(size_px),
+            size_px=size_px or _USUAL_SIZE_PX,
+            fixed=size_px is not None,
             default_classes=wanted or None,
-            **({"size_px": size_px} if size_px else {}),
         )
     count = len(trainable.class_names)
     write_result(
