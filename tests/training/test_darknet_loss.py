@@ -185,6 +185,17 @@ def test_label_smoothing_takes_from_yes_and_no_alike() -> None:
     assert float(losses["classification"]) == pytest.approx(wanted, rel=1e-5)
 
 
+def test_the_order_of_the_output_in_memory_does_not_matter() -> None:
+    torch.manual_seed(0)
+    output = torch.randn(2, 21, 4, 4)
+    targets = [_target(BOX), _target((20.0, 50.0, 60.0, 64.0))]
+    wanted = YoloLoss()([output], [_head()], targets)
+    turned = output.contiguous(memory_format=torch.channels_last)
+    assert turned.stride() != output.stride()
+    for name, value in YoloLoss()([turned], [_head()], targets).items():
+        assert float(value) == pytest.approx(float(wanted[name]), rel=1e-6)
+
+
 def test_share_inside_other_boxes() -> None:
     boxes = torch.tensor([[0.0, 0.0, 4.0, 4.0], [10.0, 10.0, 12.0, 12.0], [2.0, 0.0, 4.0, 4.0]])
     others = torch.tensor([[2.0, 0.0, 9.0, 9.0], [0.0, 0.0, 1.0, 4.0]])

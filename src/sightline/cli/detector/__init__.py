@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from sightline.cli.detector.compare import compare
 from sightline.cli.detector.evaluate import evaluate
 from sightline.cli.detector.export import export
 from sightline.cli.detector.label import label
@@ -11,8 +12,8 @@ from sightline.cli.detector.train import train
 
 detector = typer.Typer(
     name="detector",
-    help="Label, train, measure and export detectors.",
+    help="Label, train, measure, compare and export detectors.",
     no_args_is_help=True,
 )
-for command in (label, train, evaluate, export):
+for command in (label, train, evaluate, compare, export):
     detector.command()(command)

@@ -97,9 +97,10 @@ class YoloLoss:
         image, anchor, index = truth.assigned(head)
         row, column = truth.cells(index, head.stride, rows, columns)
 
-        wanted = torch.zeros_like(values[..., 4])
+        # Not zeros_like: that would lie in memory as the output does, and have no flat view.
+        wanted = torch.zeros(values.shape[:4], device=values.device)
         wanted[image, anchor, row, column] = 1.0
-        counted = torch.ones_like(wanted)
+        counted = torch.ones(values.shape[:4], device=values.device)
         with torch.no_grad():
             corners = box_convert(found.detach(), "cxcywh", "xyxy")
             for number in range(len(values)):

@@ -257,9 +257,8 @@ def split_head(output: Tensor, head: Yolo) -> Tensor:
         (B, A, rows, columns, 5 + C): x, y, width, height, objectness, classes, as they are.
     """
     batch, _, rows, columns = output.shape
-    return output.view(batch, len(head.mask), 5 + head.classes, rows, columns).permute(
-        0, 1, 3, 4, 2
-    )
+    parts = output.reshape(batch, len(head.mask), 5 + head.classes, rows, columns)
+    return parts.permute(0, 1, 3, 4, 2)
 
 
 def decode_boxes(values: Tensor, head: Yolo) -> Tensor:

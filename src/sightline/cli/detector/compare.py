@@ -1,0 +1,163 @@
+"""`sightline detector compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from sightline.cli.common import (
+    JsonOption,
+    SeedOption,
+    keep_apart,
+    progress,
+    say,
+    stdout,
+    write_result,
+)
+from sightline.cli.detector.train import _names, _options, _pair
+from sightline.errors import InputError
+from sightline.evaluation.comparison import number
+from sightline.evaluation.report import write_json
+from sightline.formats import _extras
+from sightline.formats.atomic import atomic_path
+from sightline.scene import Scene
+from sightline.training.architecture import ARCHITECTURES
+
+
+def compare(
+    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            file_okay=False,
+            help="Where trainings, table and plot go. A comparison that was stopped goes on.",
+        ),
+    ],
+    test: Annotated[str, typer.Option(help="Recordings to measure on, with commas.")],
+    train: Annotated[
+        str, typer.Option(help="Recordings to learn from, with commas; absent: all others.")
+    ] = "",
+    validation: Annotated[
+        str, typer.Option(help="Recordings that choose the best weights, with commas.")
+    ] = "",
+    arch: Annotated[str, typer.Option(help="Which, with commas.")] = ",".join(ARCHITECTURES),
+    labels: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Drawn boxes of all recordings; absent: the scene's own."),
+    ] = None,
+    augmentations: Annotated[
+        bool,
+        typer.Option(help="Train YOLOv4 with its own augmentation, the added, both and none, too."),
+    ] = True,
+    classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = "boat",
+    steps: Annotated[int, typer.Option(help="Batches that each learns from.")] = 6000,
+    batch: Annotated[int, typer.Option(help="Crops in a batch.")] = 16,
+    size: Annotated[str, typer.Option(metavar="WxH", help="Of a crop, px.")] = "416x416",
+    scales: Annotated[
+        str, typer.Option(metavar="LOW-HIGH", help="Of the crops; 1 is the picture's own.")
+    ] = "0.5-1.5",
+    rate: Annotated[float, typer.Option(help="The highest learning rate.")] = 1e-3,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ARCH.NAME=VALUE",
+            help="Of an architecture, for example faster-rcnn.backbone=resnet50. May be given "
+            "several times.",
+        ),
+    ] = None,
+    validate_every: Annotated[int, typer.Option(help="Steps between two validations.")] = 500,
+    device: Annotated[str, typer.Option(help="auto, cpu, cuda, ...")] = "auto",
+    threads: Annotated[int, typer.Option(help="Of the CPU; 0: as many as there are.")] = 0,
+    seed: SeedOption = 0,
+    json: JsonOption = None,
+) -> None:
+    """Train detectors alike and measure them on recordings that none has seen."""
+    _extras.module("torch", "train")
+    # Late: without torch the other commands must work.
+    from sightline.training.augmentation import Augmentation
+    from sightline.training.comparison import augmentation_figure, compare_detectors
+    from sightline.training.data import Labels
+    from sightline.training.loop import TrainingSettings
+    from sightline.training.recipe import Recipe
+
+    keep_apart([json], [scene])
+    loaded = Scene.load(scene)
+    for_test, for_validation = _names(test), _names(validation)
+    for_training = _names(train) or tuple(
+        one.name for one in loaded.recordings if one.name not in (*for_validation, *for_test)
+    )
+    low, high = _pair("--scales", scales, "-")
+    width, height = _pair("--size", size, "x")
+    recipe = Recipe(
+        architecture=ARCHITECTURES[0],
+        train=for_training,
+        validation=for_validation,
+        labels=Labels(class_names=_names(classes), folders=(labels,) if labels is not None else ()),
+        size_px=(int(width), int(height)),
+        batch=batch,
+        augmentation=Augmentation(scales=(low, high)),
+        training=TrainingSettings(
+            steps=steps,
+            rate=rate,
+            validate_every=validate_every,
+            seed=seed,
+            device=device,
+            threads=threads,
+        ),
+    )
+    with progress() as tell:
+        made = compare_detectors(
+            loaded,
+            recipe,
+            for_test,
+            output,
+            architectures=_names(arch),
+            options=_options_by_architecture(option or []),
+            labels=labels,
+            augmentations=augmentations,
+            progress=tell,
+        )
+    write_json(output / "comparison.json", made.to_dict())
+    write_result(json, made.to_dict())
+    if made.histories:
+        with atomic_path(output / "augmentation.png") as temporary:
+            augmentation_figure(made).savefig(temporary, dpi=150)
+    table = Table("detector", "training", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95")
+    for row in made.rows:
+        table.add_row(
+            row.name,
+            f"{row.training_s / 60.0:.1f} min",
+            f"{row.frame_ms:.0f} ms",
+            f"{row.parameters / 1e6:.1f} M",
+            number(row.report.map_50),
+            number(row.report.map_50_95),
+        )
+    stdout.print(table)
+    ran = made.hardware
+    trained_on = ran["gpu"] or "the same"
+    drawn = made.rows[0].report.drawn if made.rows else 0
+    say(
+        f"{drawn} boxes in recordings {', '.join(for_test)}; frames on {ran['cpu']} "
+        f"({ran['cores']} cores), training on {trained_on}"
+    )
+    say(f"comparison: {output / 'comparison.json'}")
+
+
+def _options_by_architecture(texts: list[str]) -> dict[str, dict[str, object]]:
+    """Options of several architectures, from ``ARCH.NAME=VALUE``."""
+    found: dict[str, dict[str, object]] = {}
+    for text in texts:
+        architecture, dot, rest = text.partition(".")
+        if not dot or architecture not in ARCHITECTURES:
+            raise InputError(
+                f"--option {text!r}: expected ARCH.NAME=VALUE, and known are "
+                f"{', '.join(ARCHITECTURES)}"
+            )
+        found.setdefault(architecture, {}).update(_options([rest]))
+    return found
