@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import onnxruntime
 import torch
 from matplotlib.figure import Figure
@@ -226,7 +225,8 @@ def augmentation_figure(comparison: DetectorComparison) -> Figure:
     """
     if not comparison.histories:
         raise InputError("the comparison was made without YOLOv4's augmentations")
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
     for name, history in comparison.histories.items():
         steps = [row["step"] for row in history]
         left.plot(steps, [row["score"] for row in history], marker="o", ms=3, label=name)

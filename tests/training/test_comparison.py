@@ -1,0 +1,138 @@
+"""Detectors beside each other; that each can learn is tested elsewhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("torch")
+
+from sightline.cli import main
+from sightline.errors import InputError
+from sightline.scene import Scene
+from sightline.training.comparison import (
+    VARIANTS,
+    DetectorComparison,
+    augmentation_figure,
+    compare_detectors,
+    hardware,
+)
+from sightline.training.data import Labels
+from sightline.training.loop import TrainingSettings
+from sightline.training.recipe import Recipe
+
+SMALL = {"yolov3": {"cfg": "yolov3-tiny"}, "yolov4": {"cfg": "yolov4-tiny"}}
+
+
+def _recipe(**changes: tuple[str, ...]) -> Recipe:
+    parts = {"train": ("a",), "validation": (), **changes}
+    return Recipe(
+        architecture="yolov3",
+        labels=Labels(class_names=("boat",)),
+        size_px=(64, 64),
+        batch=2,
+        training=TrainingSettings(steps=2, warmup=1, validate_every=1, device="cpu", threads=1),
+        **parts,
+    )
+
+
+def test_a_detector_is_trained_and_measured_on_a_recording_left_out(
+    scene: Scene, tmp_path: Path
+) -> None:
+    made = compare_detectors(
+        scene,
+        _recipe(),
+        ("b",),
+        tmp_path / "out",
+        architectures=("yolov3",),
+        options=SMALL,
+        augmentations=False,
+    )
+    (row,) = made.rows
+    # Darknet's count for COCO, less 3 x 79 filters of either head, 512 and 256 inputs and a bias;
+    # running means and variances are no parameters.
+    learned = 8_858_734 - 3 * 79 * (513 + 257) - 2 * _normalised("yolov3-tiny")
+    assert row.parameters == learned
+    assert row.steps == 2
+    assert row.training_s > 0.0
+    assert row.frame_ms > 0.0
+    assert row.report.frames == row.report.drawn == 6
+    assert 0.0 <= row.report.map_50_95 <= row.report.map_50 <= 1.0
+    assert made.split == {"train": ("a",), "validation": (), "test": ("b",)}
+    assert json.loads(json.dumps(made.to_dict()))["detectors"]["yolov3"]["steps"] == 2
+    with pytest.raises(InputError, match="without YOLOv4's augmentations"):
+        augmentation_figure(made)
+
+
+def _normalised(name: str) -> int:
+    from sightline.training.darknet.cfg import published
+
+    return sum(layer.filters for _, layer in published(name).convolutions if layer.batch_normalize)
+
+
+def test_the_hardware_is_named() -> None:
+    named = hardware("cpu")
+    assert named["cores"] >= 1
+    assert named["cpu"]
+    assert named["gpu"] is None
+    assert named["torch"]
+
+
+def test_the_figure_shows_both_measures_of_every_variant() -> None:
+    histories = {
+        name: [
+            {"step": 500.0, "score": 0.2 + 0.1 * i, "giou_loss": 1.5 - 0.1 * i},
+            {"step": 1000.0, "score": 0.4 + 0.1 * i, "giou_loss": 1.0 - 0.1 * i},
+        ]
+        for i, name in enumerate(VARIANTS)
+    }
+    made = DetectorComparison((), histories, {}, {}, 0)
+    left, right = augmentation_figure(made).axes
+    assert [line.get_label() for line in left.lines] == list(VARIANTS)
+    assert list(left.lines[1].get_ydata()) == pytest.approx([0.3, 0.5])
+    assert list(right.lines[3].get_ydata()) == pytest.approx([1.2, 0.7])
+    assert list(right.lines[0].get_xdata()) == [500.0, 1000.0]
+
+
+@pytest.mark.parametrize(
+    ("architectures", "test", "recipe", "augmentations", "said"),
+    [
+        (("yolov9",), ("b",), _recipe(), False, "unknown architecture 'yolov9'; known are yolov3"),
+        (("yolov3",), ("a",), _recipe(), False, "'a' is both learned from and tested on"),
+        (("yolov3",), ("b",), _recipe(validation=("b",)), False, "'b' is both learned from"),
+        (("yolov3",), ("b",), _recipe(), True, "--validation NAME"),
+        (("yolov3",), ("c",), _recipe(), False, r"no boxes in pictures to test on \(c\)"),
+        (("yolov3",), (), _recipe(), False, r"to test on \(none was named\)"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_before_anything_is_trained(
+    architectures: tuple[str, ...],
+    test: tuple[str, ...],
+    recipe: Recipe,
+    augmentations: bool,
+    said: str,
+    scene: Scene,
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(InputError, match=said):
+        compare_detectors(
+            scene,
+            recipe,
+            test,
+            tmp_path / "out",
+            architectures=architectures,
+            augmentations=augmentations,
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_of_unknown_architectures_are_refused(
+    scene: Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = ["detector", "compare", str(scene.path), "-o", str(tmp_path / "out"), "--test", "b"]
+    with pytest.raises(SystemExit) as stopped:
+        main([*words, "--option", "backbone=resnet50"])
+    assert stopped.value.code == 2
+    assert "expected ARCH.NAME=VALUE" in capfd.readouterr().err
