@@ -32,7 +32,12 @@ from sightline.training.loop import (
 )
 
 CLASSES = ("boat", "sailboat")
-SMALL = {"harbour": {"width": 0.5}}
+SMALL = {
+    "harbour": {"width": 0.5},
+    # A checkpoint of the large ones takes a gigabyte.
+    "yolov3": {"cfg": "yolov3-tiny"},
+    "yolov4": {"cfg": "yolov4-tiny"},
+}
 THERE = [name for name in ARCHITECTURES if importlib.util.find_spec(_MODULES[name])]
 
 
