@@ -56,6 +56,7 @@ def learn(seed: int, noise: BoxNoise) -> Learned:
         source=boxes.source[rows],
         group=window[rows],
         velocity_mps=np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)[rows],
+        time_s=boxes.time_utc_s[rows],
     )
     unseen = boxes[window == WINDOWS - 1]
     found, covariance = model.predict(unseen.xyxy_px, source=unseen.source, return_cov=True)
@@ -94,22 +95,19 @@ def learned(request: pytest.FixtureRequest) -> list[Learned]:
 
 def test_the_camera_of_the_harbour_is_found(learned: list[Learned]) -> None:
     shares = np.abs([(one.height_share, one.focal_share) for one in learned])
-    assert (np.median(shares, axis=0) < 0.05).all()
-    assert (np.mean(shares < 0.05, axis=0) > 0.6).all()
+    assert (np.mean(shares < 0.05, axis=0) > 0.8).all()
     assert np.abs([one.pitch_deg for one in learned]).max() < 0.3
 
 
-def test_height_and_pitch_are_as_sure_as_stated(learned: list[Learned]) -> None:
+def test_the_camera_is_as_sure_as_stated(learned: list[Learned]) -> None:
     z = np.array([one.in_sigmas for one in learned])
-    assert np.abs(z[:, [0, 2]]).max() < 3.0
+    assert np.abs(z).max() < 3.0
+    # The height shares an unknown with the habit of whoever drew the boxes: it is surer than that.
+    assert 0.4 < np.sqrt(np.mean(z[:, 1] ** 2)) < 1.6
 
 
 def test_ellipses_hold_the_true_places_of_an_unseen_recording(learned: list[Learned]) -> None:
-    """They are a little wide, since the fit cannot tell the log's error from that of a box.
-
-    But not by more than a factor of two.
-    """
     squared = np.concatenate([one.squared for one in learned])
     assert squared.size > 250
-    assert np.mean(squared < chi2.ppf(0.95, 2)) >= 0.95
-    assert np.median(squared) > 0.25 * chi2.median(2)
+    assert 0.90 <= np.mean(squared < chi2.ppf(0.95, 2)) <= 0.98
+    assert 0.5 < np.median(squared) / chi2.median(2) < 1.5

@@ -12,13 +12,15 @@ which those were.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares, minimize
 
 from sightline.errors import FitError
 from sightline.inference.camera import PARAMETERS, Camera, project_with_jacobian
+from sightline.inference.log_error import Whitening, blocks_of, thinned
 from sightline.types import BoolArray, FloatArray, IntArray
 
 TARGET_PARAMETERS = ("half_length_m", "half_beam_m")
@@ -48,6 +50,28 @@ _WIDE = 20.0
 _KNOWN_AT = 0.7
 # Below this a target's course says little about where its bow points.
 _UNDER_WAY_MPS = 0.5
+_ROUNDS = 4
+# Of a standard deviation: a step so small ends the search.
+_ENOUGH = 0.01
+_MOST_STEPS = 30
+# Ends as near as this to one another, as a share of a belief's width, are one.
+_SAME_END = 0.05
+# Standard deviations of a belief by which scatter of the log may pull at most.
+_MOST_PULLED = 2.0
+# A receiver stands somewhere on its boat.
+_MIDDLE_SIGMA_M = 1.0
+# A hull's beam over its length, and by what share of itself a length read off boxes may be wrong.
+_BEAM_SHARE = 0.35
+_SIZE_SHARE = 0.5
+# Medians of the parts of `PixelNoise` before any data, and standard deviations of their logarithms.
+_NOISE_CENTRE = (1.0, 0.15, 2.0, 0.7, 1.0, 20.0)
+_NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5)
+
+
+_BEHIND = (
+    "no camera explains the boxes and fixes: from every start the targets lay behind the camera; "
+    "check the camera's position, the clock and the log"
+)
 
 
 @dataclass(frozen=True)
@@ -145,14 +169,22 @@ class PixelNoise:
         row_px: Of the row, pixels.
         row_m: Of the row, metres of height at the target.
         column_px: Of the column, pixels.
-        place_m: Of the place itself, metres east and metres north: how far the log is off, and
-            the middle of the box off the middle of the hull. The two cannot be told apart.
+        place_m: Of the place itself, metres east and metres north, anew for each box: how far the
+            log is off, and the middle of the box off the middle of the hull. The two cannot be
+            told apart.
+        drift_m: Of the part of the log's error that lasts, metres east and metres north.
+        drift_s: How long it lasts: it decays as ``exp(-Δt / drift_s)``.
+        middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
+            known where the course is.
     """
 
     row_px: float = 1.5
     row_m: float = 0.2
     column_px: float = 3.0
     place_m: float = 1.0
+    drift_m: float = 1.0
+    drift_s: float = 20.0
+    middle_m: float = 0.0
 
     def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Variances of a foot's column and row, square pixels, each (N,), without the place's.
@@ -172,6 +204,9 @@ class PixelNoise:
             self.row_m * factor,
             self.column_px * factor,
             self.place_m * factor,
+            self.drift_m * factor,
+            self.drift_s,
+            self.middle_m,
         )
 
 
@@ -189,6 +224,9 @@ class Sightings:
             is not known.
         sigma_m: (N,) float64, how far off the place may be: a control point read from a map. Zero
             for boxes, whose noise is estimated.
+        time_s: (N,) float64, seconds, from which it is told which errors of the log are alike; NaN
+            where there is no log, or no time is known. Absent: nowhere.
+        width_px: (N,) float64, of the boxes; NaN where there is none. Absent: nowhere.
     """
 
     pixel_px: FloatArray
@@ -198,9 +236,19 @@ class Sightings:
     group: IntArray
     velocity_mps: FloatArray
     sigma_m: FloatArray
+    time_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    width_px: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "width_px"):
+            if getattr(self, name).size == 0:
+                object.__setattr__(self, name, np.full(self.east_m.size, np.nan))
 
     def __len__(self) -> int:
         return int(self.east_m.size)
+
+    def __getitem__(self, rows: IntArray) -> Sightings:
+        return Sightings(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +358,11 @@ def fit_camera(
     """
     _check_enough(sightings)
     prior = prior or CameraPrior()
-    problem = _Problem(sightings, image_size_px, n_sources, prior, position_known)
+    chosen = thinned(sightings.time_s, sightings.group)
+    everything = _Problem(sightings, image_size_px, n_sources, prior, position_known)
+    problem = everything
+    if chosen.size < len(sightings):
+        problem = _Problem(sightings[chosen], image_size_px, n_sources, prior, position_known)
     found: list[tuple[float, FloatArray]] = []
     assumed = noise or PixelNoise()
     for start in problem.starts(max(starts, 1), np.random.default_rng(seed)):
@@ -320,23 +372,34 @@ def fit_camera(
         if solution is not None:
             found.append(solution)
     if not found:
-        raise FitError(
-            "no camera explains the boxes and fixes: from every start the targets lay behind the "
-            "camera; check the camera's position, the clock and the log"
-        )
+        raise FitError(_BEHIND)
     found.sort(key=lambda pair: pair[0])
-    vector, estimated = found[0][1], assumed
-    for _ in range(1 if noise is not None else 5):
-        refined = problem.solve(vector, estimated, evaluations=200)
-        vector = refined[1] if refined else vector
+    estimated, best = assumed, None
+    start = np.append(found[0][1], 0.0)
+    for _ in range(1 if noise is not None else _ROUNDS):
+        problem.expect_hull(start)
+        best = problem.refine(start, estimated)
+        if best is None:
+            break
+        start = best.vector
         if noise is None:
-            estimated = problem.estimate_noise(vector, estimated)
-    vector[3] = np.mod(vector[3], 2.0 * np.pi)
+            estimated = problem.estimate_noise(best, estimated)
+    best = problem.refine(start, estimated)
+    if best is None:
+        raise FitError(_BEHIND)
+    best.vector[3] = np.mod(best.vector[3], 2.0 * np.pi)
     # The noise came from the best start; under it the others go on from where they are.
-    ends = [problem.solve(end, estimated, evaluations=100) for _, end in found]
-    return problem.summarise(
-        vector, estimated, [end for _, end in filter(None, ends)], max(starts, 1)
-    )
+    ends = [best.vector]
+    for _, vector in found[1:]:
+        if np.all(np.abs(vector - found[0][1]) < _SAME_END * problem.scale):
+            ends.append(best.vector)
+            continue
+        nearer = problem.solve(vector, estimated, evaluations=100)
+        end = problem.refine(np.append(nearer[1], 0.0), estimated) if nearer else None
+        if end is not None:
+            ends.append(end.vector)
+    fit = problem.summarise(best, estimated, ends, max(starts, 1))
+    return fit if problem is everything else everything.with_all(fit, chosen)
 
 
 def _check_enough(sightings: Sightings) -> None:
@@ -354,8 +417,29 @@ def _check_enough(sightings: Sightings) -> None:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A maximum of the posterior.
+
+    Attributes:
+        vector: Parameters, with how far the middle of a box lies ahead of the receiver.
+        shift_m: (N, 2) by how much the likeliest places are off those of the log.
+        weight: (N, 2) how much each column and row counts, 0 to 1.
+        standard: (N, 2) residuals without what lasts, over their standard deviations.
+    """
+
+    vector: FloatArray
+    shift_m: FloatArray
+    weight: FloatArray
+    standard: FloatArray
+
+
 class _Problem:
-    """Residuals and derivatives of one fit."""
+    """Residuals and derivatives of one fit.
+
+    Vectors are those of `CameraFit`, or these followed by what is known of the places: how far
+    the middle of a box lies ahead of the receiver, and the values of the logs' drift.
+    """
 
     def __init__(
         self,
@@ -379,6 +463,14 @@ class _Problem:
             image_size_px, n_sources, self.clock_groups.size, position_known=position_known
         )
         self.held = np.isfinite(self.sigma)
+        self.size = self.mean.size
+        self.timed = np.isfinite(sightings.time_s)
+        self.blocks = blocks_of(sightings.time_s, sightings.group)
+        speed = np.hypot(*sightings.velocity_mps.T)
+        steered = (sightings.source != NO_SOURCE) & (speed > _UNDER_WAY_MPS)
+        self.bow = np.where(
+            steered[:, None], sightings.velocity_mps / np.maximum(speed, 1e-9)[:, None], 0.0
+        )
         self.boxes = sightings.source != NO_SOURCE
         self.centre = np.array([np.mean(sightings.east_m), np.mean(sightings.north_m)])
         self.spread = float(
@@ -429,15 +521,33 @@ class _Problem:
         out[~self.boxes] = 0.0
         return out
 
+    def expect_hull(self, vector: FloatArray) -> None:
+        """Let the boxes' widths say what hull to expect, of a target of common proportions."""
+        s = self.sightings
+        rows = np.flatnonzero(np.isfinite(s.width_px))
+        if rows.size < 3:
+            return
+        aspect = self.aspect(vector)[rows]
+        apparent = self.apparent(vector)[rows]
+        seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
+        half = float(np.median(s.width_px[rows] / apparent / seen))
+        self.mean[_N:FIRST_SOURCE] = half, _BEAM_SHARE * half
+        self.sigma[_N:FIRST_SOURCE] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
+
     def project(
-        self, vector: FloatArray, aspect: FloatArray
+        self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Expected pixels (N, 2), their derivatives by parameters and by the place."""
+        """Expected pixels (N, 2), their derivatives by parameters and by the place.
+
+        The place may be moved by a shift, (N, 2) metres.
+        """
         s = self.sightings
         bias = vector[FIRST_SOURCE : self.first_clock].reshape(-1, 2)
         source = np.where(self.boxes, s.source, 0)
         above = np.where(self.boxes, bias[source, 1], 0.0) if self.n_sources else 0.0
         east, north = self.place(vector)
+        if shift_m is not None:
+            east, north = east + shift_m[:, 0], north + shift_m[:, 1]
         # The foot of a box lies on the near side of the target.
         east_off, north_off = east - vector[7], north - vector[8]
         distance = np.hypot(east_off, north_off)
@@ -452,6 +562,8 @@ class _Problem:
         by_point[:, :, 0] -= across * cosine[:, None]
         by_point[:, :, 1] += across * sine[:, None]
         jacobian = np.zeros((len(s), 2, vector.size))
+        if vector.size > self.size:
+            jacobian[:, :, self.size] = np.einsum("nij,nj->ni", by_point[:, :, :2], self.bow)
         jacobian[:, :, :_N] = by_parameter
         jacobian[:, :, 7:9] = -by_point[:, :, :2]
         inwards = by_foot[:, :, 0] * sine[:, None] + by_foot[:, :, 1] * cosine[:, None]
@@ -469,38 +581,112 @@ class _Problem:
         return pixel, jacobian, by_point
 
     def place(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the targets were, (N,) east and north, by clocks that agree with the log."""
+        """Where the targets were, (N,) east and north, by clocks and logs that were put right."""
         s = self.sightings
-        if not self.moving.size:
-            return s.east_m, s.north_m
-        offset = np.zeros(len(s))
-        offset[self.moving] = vector[self.first_clock + self.clock[self.moving]]
-        return s.east_m + offset * s.velocity_mps[:, 0], s.north_m + offset * s.velocity_mps[:, 1]
+        place = np.stack([s.east_m, s.north_m])
+        if self.moving.size:
+            offset = np.zeros(len(s))
+            offset[self.moving] = vector[self.first_clock + self.clock[self.moving]]
+            place += offset * s.velocity_mps.T
+        if vector.size > self.size:
+            place += vector[self.size] * self.bow.T
+        return place[0], place[1]
 
-    def size(self, vector: FloatArray) -> FloatArray:
+    def apparent(self, vector: FloatArray) -> FloatArray:
         """(N,) how large a metre at the box looks, pixels; zero for control points."""
         s = self.sightings
         slant = np.hypot(np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]))
         return np.where(self.boxes, np.exp(vector[4]) / slant, 0.0)
 
-    def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
-        """(N, 2) standard deviations of column and row, pixels.
+    def pixel_variance(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
+        """(N, 2) variances of column and row without the place's, square pixels.
 
-        A control point has the pixel part of a box's noise, and its own uncertainty of place.
+        A control point has the pixel part of a box's noise.
         """
-        _, _, by_point = self.project(vector, self.aspect(vector))
-        variance = np.stack(noise.variances_px2(self.size(vector) ** 2), axis=1)
-        place = np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
-        return np.sqrt(variance + (place[:, None] * _per_metre(by_point)) ** 2)
+        return np.stack(noise.variances_px2(self.apparent(vector) ** 2), axis=1)
+
+    def place_sigma(self, noise: PixelNoise) -> FloatArray:
+        """(N,) standard deviations of the places, metres; a control point has its own."""
+        return np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
+
+    def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
+        """(N, 2) standard deviations of column and row, pixels, but for what lasts."""
+        by_place = self.project(vector, self.aspect(vector))[2][:, :, :2]
+        place = (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
+        return np.asarray(np.sqrt(self.pixel_variance(vector, noise) + place))
+
+    def beliefs(self, size: int) -> tuple[FloatArray, FloatArray]:
+        """Means of a vector of a size, and the matrix that makes its deviations standard normal."""
+        held = np.flatnonzero(self.held)
+        out = np.zeros((held.size + size - self.size, size))
+        out[np.arange(held.size), held] = 1.0 / self.sigma[held]
+        if size > self.size:
+            out[held.size, self.size] = 1.0 / _MIDDLE_SIGMA_M
+        return np.concatenate([self.mean, np.zeros(size - self.size)]), out
+
+    def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
+        """The nearest maximum of the posterior by the whole noise, the lasting error of logs too.
+
+        Gauss-Newton steps on whitened residuals. The lasting error, like that of single places, is
+        not left in the residual: derivatives are those at the likeliest places, since a fit that
+        charged all of it to the pixels would find a camera in which metres look too small (errors
+        in variables). Boxes that are off by much count less (Huber).
+
+        Returns:
+            None where it ends behind the targets.
+        """
+        vector, aspect = start.copy(), self.aspect(start)
+        mean, beliefs = self.beliefs(vector.size)
+        precision = beliefs.T @ beliefs
+        place_variance = (self.place_sigma(noise) ** 2)[:, None]
+        # Without times the scatter of single places cannot be told from the target's path: see
+        # `summarise`.
+        latent = np.where(self.timed[:, None], place_variance, 0.0)
+        shift = np.zeros((len(self.sightings), 2))
+        weight = np.ones((len(self.sightings), 2))
+        for _ in range(_MOST_STEPS):
+            pixel, jacobian, by_point = self.project(vector, aspect, shift)
+            if not (np.isfinite(pixel).all() and np.isfinite(jacobian).all()):
+                return None
+            by_place = by_point[:, :, :2]
+            residual = self.sightings.pixel_px - pixel + np.einsum("nij,nj->ni", by_place, shift)
+            variance = self.pixel_variance(vector, noise)
+            variance += place_variance * np.sum(by_place**2, axis=2)
+            whitening = Whitening(
+                self.blocks, variance / weight, by_place, noise.drift_m, noise.drift_s
+            )
+            both = whitening.forward(np.concatenate([jacobian, residual[:, :, None]], axis=2))
+            flat = both.reshape(-1, vector.size + 1)
+            normal = flat[:, :-1].T @ flat[:, :-1] + precision
+            slope = flat[:, :-1].T @ flat[:, -1] - precision @ (vector - mean)
+            factor = cho_factor(normal, lower=True, check_finite=False)
+            step = cho_solve(factor, slope, check_finite=False)
+            covariance = cho_solve(factor, np.eye(vector.size), check_finite=False)
+            step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
+            left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
+            pull = whitening.backward(left)[:, :, 0]
+            shift = whitening.drift(pull)
+            shift += latent * np.einsum("nij,ni->nj", by_place, pull)
+            standard = pull * np.sqrt(variance) / weight
+            weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
+            vector = vector + step
+            if (np.abs(step) < _ENOUGH * np.sqrt(np.diag(covariance))).all():
+                break
+        if not self._ahead(vector):
+            return None
+        return _Refined(vector, shift, weight, standard)
+
+    def reach(self, size: int) -> FloatArray:
+        """(size,) the longest step in each parameter."""
+        return np.concatenate([self.scale, np.full(size - self.size, _MIDDLE_SIGMA_M)])
 
     def solve(
         self, start: FloatArray, noise: PixelNoise, evaluations: int
     ) -> tuple[float, FloatArray] | None:
         """The nearest minimum of the posterior: its cost and place, or None if none was found."""
         sigma, aspect = self.sigmas(start, noise), self.aspect(start)
-        held = np.flatnonzero(self.held)
-        beliefs = np.zeros((held.size, start.size))
-        beliefs[np.arange(held.size), held] = 1.0 / self.sigma[held]
+        mean, beliefs = self.beliefs(start.size)
+        scale = np.concatenate([self.scale, np.ones(start.size - self.size)])
         last: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
         def evaluate(vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -517,7 +703,7 @@ class _Problem:
                 last[:] = [
                     (
                         vector.copy(),
-                        np.concatenate([residual, beliefs @ (vector - self.mean)]),
+                        np.concatenate([residual, beliefs @ (vector - mean)]),
                         np.concatenate([by_parameter * slope[:, None], beliefs]),
                     )
                 ]
@@ -536,7 +722,7 @@ class _Problem:
             residuals,
             start,
             jac=derivatives,
-            x_scale=self.scale,
+            x_scale=scale,
             max_nfev=evaluations,
             xtol=1e-9,
             ftol=1e-9,
@@ -552,54 +738,112 @@ class _Problem:
         )
         return bool(np.mean(forward > 0.0) > 0.5)
 
-    def estimate_noise(self, vector: FloatArray, before: PixelNoise) -> PixelNoise:
-        """The noise under which the residuals are likeliest, with a weak prior on each part."""
-        pixel, _, by_point = self.project(vector, self.aspect(vector))
-        residual = self.sightings.pixel_px - pixel
-        sigma = self.sigmas(vector, before)
-        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(residual / sigma), 1e-9))
-        # The fit has used up some freedom; what is left is larger by this.
-        lost = 1.0 - min(0.5 * (_N - 1) / len(self.sightings), 0.5)
-        squared = weight * residual**2 / lost
-        per_metre = _per_metre(by_point) ** 2
-        surveyed = (self.sightings.sigma_m**2)[:, None] * per_metre
-        column_px, place_m = _likeliest(
-            squared[:, 0], np.where(self.boxes, per_metre[:, 0], 0.0), surveyed[:, 0], (2.0, 0.7)
+    def linearise(self, found: _Refined) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (N, 2), and derivatives by parameters and by places, at the likeliest places.
+
+        What the shift of the places took from the residuals is put back to first order.
+        """
+        aspect = self.aspect(found.vector)
+        pixel, jacobian, by_point = self.project(found.vector, aspect, found.shift_m)
+        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.shift_m)
+        return self.sightings.pixel_px - pixel + put_back, jacobian, by_point[:, :, :2]
+
+    def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
+        """The noise under which the residuals are likeliest, with a weak prior on each part.
+
+        The likelihood is that of the residuals with the parameters integrated out, linearised
+        where they are (restricted maximum likelihood).
+        """
+        residual, jacobian, by_place = self.linearise(found)
+        n, size = len(self.sightings), found.vector.size
+        mean, beliefs = self.beliefs(size)
+        precision, off = beliefs.T @ beliefs, found.vector - mean
+        per_metre = np.sum(by_place**2, axis=2)
+        known = (self.sightings.sigma_m**2)[:, None] * per_metre
+        # Variances are these times the squares of the first four of `PixelNoise`.
+        parts = np.zeros((4, n, 2))
+        parts[0, :, 1] = 1.0
+        parts[1, :, 1] = self.apparent(found.vector) ** 2
+        parts[2, :, 0] = 1.0
+        parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
+        count = 6 if self.blocks else 4
+        centre, width = np.log(_NOISE_CENTRE[:count]), np.array(_NOISE_WIDTH[:count])
+        columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
+
+        def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
+            drift_m, drift_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
+            variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
+            whitening = Whitening(self.blocks, variance, by_place, drift_m, drift_s)
+            both = whitening.forward(columns)
+            flat = both.reshape(-1, size + 1)
+            factor = cho_factor(
+                flat[:, :-1].T @ flat[:, :-1] + precision, lower=True, check_finite=False
+            )
+            slope = flat[:, :-1].T @ flat[:, -1] - precision @ off
+            step = cho_solve(factor, slope, check_finite=False)
+            value = 0.5 * float(flat[:, -1] @ flat[:, -1] + off @ precision @ off - slope @ step)
+            value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
+            solved = whitening.backward(both)
+            covariance = cho_solve(factor, np.eye(size), check_finite=False)
+            by_variance, *by_drift = whitening.slopes(
+                solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance, drift_s
+            )
+            by_part = np.tensordot(parts, by_variance / found.weight, 2)
+            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_drift])[:count]
+            belief = (t - centre) / width
+            return value + 0.5 * float(belief @ belief), slopes + belief / width
+
+        at = np.log([getattr(before, column.name) for column in fields(before)][:count])
+        best = minimize(
+            negative_log,
+            at,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(centre - 4.0 * width, centre + 4.0 * width, strict=True)),
+            options={"maxiter": 25, "ftol": 1e-6},
         )
-        logged = surveyed[:, 1] + np.where(self.boxes, place_m**2 * per_metre[:, 1], 0.0)
-        row_px, row_m = _likeliest(squared[:, 1], self.size(vector) ** 2, logged, (1.0, 0.15))
-        return PixelNoise(row_px=row_px, row_m=row_m, column_px=column_px, place_m=place_m)
+        return PixelNoise(*np.exp(best.x).tolist())
 
     def summarise(
-        self, vector: FloatArray, noise: PixelNoise, ends: list[FloatArray], starts: int
+        self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
     ) -> CameraFit:
         """The fit with its uncertainty, from the best camera and where the starts ended."""
-        pixel, jacobian, _ = self.project(vector, self.aspect(vector))
-        sigma = self.sigmas(vector, noise)
-        residual = self.sightings.pixel_px - pixel
-        standard = residual / sigma
-        weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
-        precision = np.where(self.held, self.sigma, np.inf) ** -2.0
+        residual, jacobian, by_place = self.linearise(found)
+        variance = self.pixel_variance(found.vector, noise)
+        variance += (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
         # Errors of one recording are alike, so that it tells less than its number of boxes.
-        shares = [self._shared_error(standard[:, axis]) for axis in (0, 1)]
-        weight = weight / np.stack([self._crowding(share) for share in shares], axis=1)
-        scaled = jacobian * (np.sqrt(weight) / sigma)[:, :, None]
-        flat = scaled.reshape(-1, vector.size)
-        covariance: FloatArray = np.linalg.pinv(
-            flat.T @ flat + np.diag(precision), hermitian=True
+        shares = [self._shared_error(found.standard[:, axis]) for axis in (0, 1)]
+        crowding = np.stack([self._crowding(share) for share in shares], axis=1)
+        whitening = Whitening(
+            self.blocks,
+            variance * crowding / found.weight,
+            by_place,
+            noise.drift_m,
+            noise.drift_s,
+        )
+        scaled = whitening.forward(jacobian).reshape(-1, found.vector.size)
+        _, beliefs = self.beliefs(found.vector.size)
+        whole: FloatArray = np.linalg.pinv(
+            scaled.T @ scaled + beliefs.T @ beliefs, hermitian=True
         ).astype(np.float64)
-        leverage = np.einsum("nij,jk,nik->n", scaled, covariance, scaled)
+        leverage = np.einsum("nj,jk,nk->n", scaled, whole, scaled).reshape(-1, 2).sum(axis=1)
+        # Beliefs bound how far it goes.
+        pulled = whole @ self._attenuation(found.vector, noise, variance * crowding / found.weight)
+        limit = np.append(_MOST_PULLED * self.sigma, np.inf)
+        pulled *= min(1.0, float(np.min(limit / np.maximum(np.abs(pulled), 1e-12))))
+        whole = whole + np.outer(pulled, pulled)
+        vector, covariance = found.vector[: self.size], whole[: self.size, : self.size]
         return CameraFit(
             vector=vector,
             covariance=covariance,
             prior_sigma=self.sigma,
             clock_groups=self.clock_groups,
-            noise=noise,
+            noise=replace(noise, middle_m=float(abs(found.vector[self.size]))),
             image_size_px=self.image_size_px,
             residual_px=residual,
-            standard_residual=np.sqrt(np.mean(standard**2, axis=1)),
+            standard_residual=np.sqrt(np.mean(found.standard**2, axis=1)),
             leverage=leverage,
-            outlier=np.asarray(np.abs(standard).max(axis=1) > _OUTLIER),
+            outlier=np.asarray(np.abs(found.standard).max(axis=1) > _OUTLIER),
             starts_agreeing=sum(self._same(end, vector, covariance) for end in ends),
             starts=starts,
             typical_range_m=float(
@@ -608,6 +852,49 @@ class _Problem:
                 )
             ),
         )
+
+    def with_all(self, fit: CameraFit, chosen: IntArray) -> CameraFit:
+        """A fit to some sightings as one to all: the others are compared with it."""
+        pixel, _, by_point = self.project(fit.vector, self.aspect(fit.vector))
+        per_metre = np.sum(by_point[:, :, :2] ** 2, axis=2)
+        sigma = np.hypot(self.sigmas(fit.vector, fit.noise), fit.noise.drift_m * np.sqrt(per_metre))
+        residual = self.sightings.pixel_px - pixel
+        standard = residual / sigma
+        residual[chosen] = fit.residual_px
+        leverage = np.zeros(len(self.sightings))
+        leverage[chosen] = fit.leverage
+        outlier = np.abs(standard).max(axis=1) > _OUTLIER
+        outlier[chosen] = fit.outlier
+        size = np.sqrt(np.mean(standard**2, axis=1))
+        size[chosen] = fit.standard_residual
+        return replace(
+            fit, residual_px=residual, standard_residual=size, leverage=leverage, outlier=outlier
+        )
+
+    def _attenuation(
+        self, vector: FloatArray, noise: PixelNoise, variance_px2: FloatArray
+    ) -> FloatArray:
+        """(P,) how scatter of places that was charged to the pixels pulls at the parameters.
+
+        It makes metres look small: the slope of its expected part of the cost. Where the data hold
+        the camera it hardly moves it; where they do not, this is how far off the estimate may be.
+        """
+        rows = self.boxes & ~self.timed
+        out = np.zeros(vector.size)
+        if not rows.any():
+            return out
+        aspect = self.aspect(vector)
+        weight = (0.5 * noise.place_m**2 / variance_px2)[rows]
+        for i in range(_N):
+            apart = 1e-4 * self.scale[i]
+            squares = []
+            for side in (-1.0, 1.0):
+                moved = vector.copy()
+                moved[i] += side * apart
+                by_point = self.project(moved, aspect)[2][rows]
+                squares.append(np.sum(by_point[:, :, :2] ** 2, axis=2))
+            out[i] = np.sum(weight * (squares[1] - squares[0])) / (2.0 * apart)
+        return out
 
     @staticmethod
     def _same(one: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
@@ -634,30 +921,3 @@ class _Problem:
         """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share."""
         _, inverse, count = np.unique(self.sightings.group, return_inverse=True, return_counts=True)
         return np.asarray(1.0 + (count[inverse] - 1.0) * share)
-
-
-def _per_metre(by_point: FloatArray) -> FloatArray:
-    """(N, 2) by how many pixels column and row move where a place moves by a metre."""
-    return np.asarray(np.hypot(by_point[:, :, 0], by_point[:, :, 1]))
-
-
-def _likeliest(
-    squared: FloatArray, slope: FloatArray, known: FloatArray, centre: tuple[float, float]
-) -> tuple[float, float]:
-    """The standard deviations a and b under which squared residuals are likeliest.
-
-    They have the variance ``a² + b² slope + known``; the logarithms of a and b have priors about
-    those of ``centre``, with standard deviations of 0.7 and 1.
-    """
-
-    def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
-        one, two = np.exp(2.0 * t[0]), np.exp(2.0 * t[1]) * slope
-        variance = one + two + known
-        belief = (t - np.log(centre)) / (0.7, 1.0)
-        value = 0.5 * np.sum(squared / variance + np.log(variance)) + 0.5 * belief @ belief
-        by_variance = (1.0 - squared / variance) / variance
-        slopes = np.array([one * by_variance.sum(), two @ by_variance])
-        return float(value), slopes + belief / (0.7, 1.0)
-
-    best = minimize(negative_log, np.log(centre), jac=True, method="L-BFGS-B")
-    return float(np.exp(best.x[0])), float(np.exp(best.x[1]))

@@ -31,6 +31,7 @@ from sightline.inference.camera_fit import (
     fit_camera,
 )
 from sightline.inference.estimator import Arrays, Settings
+from sightline.inference.log_error import LogError
 from sightline.inference.one_box import place_one
 from sightline.inference.residual import Hyperparameters, ResidualProcess
 from sightline.types import BoolArray, FloatArray, IntArray, check_boxes
@@ -44,6 +45,12 @@ CONTROL_POINT_SIGMA_M = 0.1
 LARGEST_RELATIVE_SIGMA = 0.5
 """A box whose range is less certain than this share of itself has no position."""
 
+UNSEEN_BIAS_PX = 5.0
+"""How far off the lower edge of a source that nobody knows may be: detectors that were trained on
+other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
+
+# The belief weighs as much as so many known sources.
+_UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
 # So that what is known of a chunk stays in a core's own cache.
 _CHUNK = 1024
@@ -92,6 +99,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         source: ArrayLike | None = None,
         group: ArrayLike | None = None,
         velocity_mps: ArrayLike | None = None,
+        time_s: ArrayLike | None = None,
         control_px: ArrayLike | None = None,
         control_east_north_m: ArrayLike | None = None,
     ) -> Self:
@@ -103,6 +111,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             source: (N,) str, who made each box; absent: one unnamed source.
             group: (N,) the recording of each box; absent: one.
             velocity_mps: (N, 2) of the target, east and north; tells how far a clock is off.
+            time_s: (N,) of each box, seconds; tells which errors of the log are alike. Absent or
+                NaN: those of a recording are not.
             control_px: (M, 2) pixels of control points.
             control_east_north_m: (M, 2) metres.
 
@@ -116,6 +126,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         check_boxes(boxes)
         n, m = len(boxes), len(pixels)
         velocity = np.zeros((n, 2)) if velocity_mps is None else _rows(velocity_mps, 2)
+        times = np.full(n, np.nan) if time_s is None else np.asarray(time_s, dtype=np.float64)
         if len(places) != n or len(known) != m:
             raise InputError(f"{n} boxes and {len(places)} places; each box needs its place")
         names = np.asarray(source if source is not None else [""] * n, dtype=np.str_)
@@ -134,6 +145,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             group=np.concatenate([self._group, own]).astype(np.int64),
             velocity_mps=np.concatenate([velocity, np.zeros((m, 2))]),
             sigma_m=np.concatenate([np.zeros(n), np.full(m, CONTROL_POINT_SIGMA_M)]),
+            time_s=np.concatenate([times, np.full(m, np.nan)]),
+            width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
         )
         self.fit_ = fit_camera(
             sightings,
@@ -154,7 +167,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             offset = self.fit_.clock_offset_s
             clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
             late = np.array([clocks.get(int(g), 0.0) for g in self._group])
-            self._learn_residual(boxes, places + late[:, None] * velocity, names)
+            self._learn_residual(boxes, places + late[:, None] * velocity, names, times)
         return self
 
     def predict(
@@ -219,7 +232,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """A source's bias, (2,) pixels and metres, and the whole covariance with the camera's.
 
         The covariance is (13, 13): the camera's nine parameters, the target's two, and the two of
-        the bias.
+        the bias. A source that was not learned from is one more draw from where the known ones came
+        from: their spread, and what is believed of sources, say how far off it may be.
         """
         fit, prior = self.fit_, self.prior or CameraPrior()
         name = self.sources_[0] if not source and len(self.sources_) == 1 else source
@@ -229,8 +243,16 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
         covariance = np.zeros((FIRST_SOURCE + 2, FIRST_SOURCE + 2))
         covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
-        covariance[FIRST_SOURCE, FIRST_SOURCE] = prior.bias_px_sigma**2
-        covariance[FIRST_SOURCE + 1, FIRST_SOURCE + 1] = prior.bias_m_sigma**2
+        expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
+        first, count = FIRST_SOURCE, len(self.sources_)
+        known = slice(first, first + len(SOURCE_PARAMETERS) * count)
+        squares = (fit.vector[known] ** 2 + np.diag(fit.covariance)[known]).reshape(
+            -1, len(SOURCE_PARAMETERS)
+        )
+        spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
+        covariance[first, first], covariance[first + 1, first + 1] = spread / (
+            _UNSEEN_WEIGHT + count
+        )
         return np.zeros(2), covariance
 
     def _prepare(self) -> None:
@@ -242,7 +264,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self._hull_m = float(ANY_ASPECT * (length + beam))
         # The variance of length |cos| + beam |sin| over all aspects.
         aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self._hull_m**2
-        place = self.fit_.noise.place_m**2
+        # Of a box nobody knows the course, and so not to which side of its middle the receiver is.
+        place = self.fit_.noise.place_m**2 + 0.5 * self.fit_.noise.middle_m**2
         self._place_variance = np.array([[place + aspect], [place]])
         self._biases: dict[str, tuple[float, float, FloatArray]] = {}
 
@@ -363,10 +386,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             covariance[~known] = np.nan
             shared[~known[: len(shared)]] = np.nan
 
-    def _learn_residual(self, boxes: FloatArray, places: FloatArray, names: Any) -> None:
+    def _learn_residual(
+        self, boxes: FloatArray, places: FloatArray, names: Any, time_s: FloatArray
+    ) -> None:
         n = len(boxes)
         inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
         noise = np.full((n, 2), np.nan)
+        sight = np.full((n, 2), np.nan)
         camera = self.camera_
         east, north = places[:, 0] - camera.east_m, places[:, 1] - camera.north_m
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -375,6 +401,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 seen = self._see(boxes[rows], str(name))
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
                 noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
+                sight[rows] = np.stack([seen.sine, seen.cosine], axis=1) / seen.distance[:, None]
                 turn = np.arctan2(east[rows], north[rows]) - np.arctan2(seen.sine, seen.cosine)
                 targets[rows, 0] = np.log(np.hypot(east[rows], north[rows]) / seen.distance)
                 targets[rows, 1] = np.arctan2(np.sin(turn), np.cos(turn))
@@ -390,12 +417,17 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         clipped = np.clip(targets[usable], -limit, limit)
 
         def learn(axis: int) -> ResidualProcess:
+            along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
+            log_error = LogError(
+                time_s, along_or_across, self.fit_.noise.drift_m, self.fit_.noise.drift_s
+            )
             return ResidualProcess(
                 inputs[usable],
                 clipped[:, axis],
                 noise[usable, axis],
                 self._group[usable],
                 length_scales=_LENGTH_SCALES,
+                log_error=log_error[usable],
             )
 
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
@@ -430,6 +462,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 arrays[f"{key}.targets"] = process.targets
                 arrays[f"{key}.noise"] = process.noise
                 arrays[f"{key}.group"] = process.group
+                if process.log_error is not None:
+                    arrays[f"{key}.time"] = process.log_error.time_s
+                    arrays[f"{key}.direction"] = process.log_error.direction
                 settings[key] = {
                     "hyperparameters": list(process.hyperparameters.to_log()),
                     "length_scales": list(process.length_scales),
@@ -490,6 +525,14 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 hyperparameters=Hyperparameters.from_log(
                     np.array(settings[key]["hyperparameters"], dtype=np.float64)
                 ),
+                log_error=LogError(
+                    np.array(arrays[f"{key}.time"], dtype=np.float64),
+                    np.array(arrays[f"{key}.direction"], dtype=np.float64),
+                    model.fit_.noise.drift_m,
+                    model.fit_.noise.drift_s,
+                )
+                if f"{key}.time" in arrays
+                else None,
             )
             if key in settings
             else None

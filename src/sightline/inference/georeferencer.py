@@ -391,6 +391,7 @@ def fit_pairs(
             source=pairs.boxes.source,
             group=pairs.recording,
             velocity_mps=pairs.velocity_mps,
+            time_s=pairs.boxes.time_utc_s,
             control_px=control.pixel_px,
             control_east_north_m=control_east_north,
         )

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 
+from sightline.inference.log_error import LogError
 from sightline.types import FloatArray, IntArray
 
 MOST_POINTS = 2000
@@ -70,6 +71,8 @@ class ResidualProcess:
         group: (N,) int64, the recording of each.
         hyperparameters: Absent: the most probable under priors about ``length_scales``.
         length_scales: (D,) what is believed of the length scales.
+        log_error: What the lasting error of the logs makes of the targets. It is no property of
+            boxes, so that nothing of it is in what is predicted. Absent: nothing.
     """
 
     def __init__(
@@ -81,16 +84,20 @@ class ResidualProcess:
         *,
         length_scales: tuple[float, ...],
         hyperparameters: Hyperparameters | None = None,
+        log_error: LogError | None = None,
     ) -> None:
         chosen = _thin(len(targets), MOST_POINTS)
         self.inputs, self.targets = inputs[chosen], targets[chosen]
         self.noise, self.group = noise[chosen], group[chosen]
+        self.log_error = None if log_error is None else log_error[chosen]
         self.length_scales = length_scales
         self.hyperparameters = hyperparameters or self._most_probable()
         h = self.hyperparameters
         scaled = self.inputs / np.array(h.length_scales)
         smooth = h.amplitude**2 * np.exp(-0.5 * _squared_differences(scaled).sum(axis=0))
         rest = _rest(h, self.noise, _same(self.group))
+        if self.log_error is not None:
+            rest += self.log_error.covariance(self.group)
         self._weights = cho_solve(cho_factor(smooth + rest, lower=True), self.targets)
         # The product with it is most of the work, and seven digits of a variance are plenty.
         whitening = _trapezoid(_whitening(smooth, rest))
@@ -161,7 +168,11 @@ class ResidualProcess:
         centre = Hyperparameters(0.7 * typical, self.length_scales, 0.5 * typical, 1.0).to_log()
         width = np.array([0.7, *([0.5] * len(self.length_scales)), 0.7, 0.5])
         likelihood = LogLikelihood(
-            self.inputs[chosen], self.targets[chosen], self.noise[chosen], self.group[chosen]
+            self.inputs[chosen],
+            self.targets[chosen],
+            self.noise[chosen],
+            self.group[chosen],
+            None if self.log_error is None else self.log_error[chosen],
         )
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
@@ -188,11 +199,18 @@ class LogLikelihood:
         targets: (N,) float64.
         noise: (N,) float64, the standard deviation of each target.
         group: (N,) int64, the recording of each.
+        log_error: As in `ResidualProcess`.
     """
 
     def __init__(
-        self, inputs: FloatArray, targets: FloatArray, noise: FloatArray, group: IntArray
+        self,
+        inputs: FloatArray,
+        targets: FloatArray,
+        noise: FloatArray,
+        group: IntArray,
+        log_error: LogError | None = None,
     ) -> None:
+        self._logged = 0.0 if log_error is None else log_error.covariance(group)
         self._targets, self._noise, self._same = targets, noise, _same(group)
         self._squares = _squared_differences(inputs).reshape(inputs.shape[1], -1)
 
@@ -206,7 +224,8 @@ class LogLikelihood:
         per_scale = np.array(h.length_scales) ** -2.0
         n = len(self._targets)
         smooth = h.amplitude**2 * np.exp(-0.5 * (per_scale @ self._squares)).reshape(n, n)
-        lower = cholesky(smooth + _rest(h, self._noise, self._same), lower=True, check_finite=False)
+        rest = _rest(h, self._noise, self._same) + self._logged
+        lower = cholesky(smooth + rest, lower=True, check_finite=False)
         weights = cho_solve((lower, True), self._targets, check_finite=False)
         value = -0.5 * float(self._targets @ weights) - float(np.log(np.diag(lower)).sum())
         inverse, _ = lapack.dpotri(lower, lower=True)

@@ -1,0 +1,208 @@
+"""The error of a log that lasts, and how much boxes of one moment then tell.
+
+A receiver that is two metres off is two metres off for half a minute. Boxes within seconds of each
+other share this error: as independent ones they would seem to tell more than they do, and turn the
+camera towards the log. It is a Gauss-Markov (Ornstein-Uhlenbeck) process in east and another in
+north, anew in each recording. Its covariance is ``drift_m² exp(-|Δt| / drift_s)``, but smooth below
+a second, since fixes come a second apart and are interpolated between. Residuals are whitened by
+what it and the boxes' own noise make together (generalised least squares).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cholesky, lapack, solve_triangular
+
+from sightline.types import BoolArray, FloatArray, IntArray
+
+LONGEST_BLOCK_S = 60.0
+"""Errors of moments that are further apart may count as independent."""
+
+MOST_IN_BLOCK = 256
+"""Boxes in a block; more in as short a time tell hardly more."""
+
+# exp(-(sqrt(Δt² + s²) - s) / drift_s) is positive definite: the exponent is a Bernstein function of
+# Δt² (Schoenberg).
+_SMOOTH_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Sightings of one recording whose errors are correlated.
+
+    Attributes:
+        rows: (n,) int64, which sightings.
+        apart_s: (n, n) float64, seconds between any two of them, less where these are few.
+    """
+
+    rows: IntArray
+    apart_s: FloatArray
+
+
+def thinned(time_s: FloatArray, group: IntArray) -> IntArray:
+    """The rows to learn from: all, but for those of a recording that come faster than needed."""
+    kept = [np.flatnonzero(~np.isfinite(time_s))]
+    for g in np.unique(group[np.isfinite(time_s)]):
+        rows = np.flatnonzero((group == g) & np.isfinite(time_s))
+        rows = rows[np.argsort(time_s[rows], kind="stable")]
+        blocks = max(1.0, np.ptp(time_s[rows]) / LONGEST_BLOCK_S)
+        most = int(blocks * MOST_IN_BLOCK)
+        if rows.size > most:
+            rows = rows[np.linspace(0, rows.size - 1, most).round().astype(np.int64)]
+        kept.append(rows)
+    return np.sort(np.concatenate(kept))
+
+
+def blocks_of(time_s: FloatArray, group: IntArray) -> list[Block]:
+    """Recordings, or parts of long ones; sightings without a time are in none."""
+    out = []
+    for g in np.unique(group[np.isfinite(time_s)]):
+        rows = np.flatnonzero((group == g) & np.isfinite(time_s))
+        rows = rows[np.argsort(time_s[rows], kind="stable")]
+        count = -(-rows.size // MOST_IN_BLOCK)
+        out += [Block(part, _apart(time_s[part])) for part in np.array_split(rows, count)]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class LogError:
+    """The lasting error of a log as one coordinate of each of several places sees it.
+
+    Attributes:
+        time_s: (N,) float64, seconds; NaN where it is not known, and errors are independent.
+        direction: (N, 2) float64, by how much the coordinate changes with a metre east and north.
+        drift_m: Standard deviation in east and in north.
+        drift_s: How long it lasts.
+    """
+
+    time_s: FloatArray
+    direction: FloatArray
+    drift_m: float
+    drift_s: float
+
+    def __getitem__(self, rows: IntArray | BoolArray) -> LogError:
+        return replace(self, time_s=self.time_s[rows], direction=self.direction[rows])
+
+    def covariance(self, group: IntArray) -> FloatArray:
+        """(N, N) of the coordinate, for places in the recordings ``group``, (N,) int64."""
+        kernel = self.drift_m**2 * np.exp(-_apart(self.time_s) / self.drift_s)
+        alike = (group[:, None] == group[None, :]) & np.isfinite(kernel)
+        return np.asarray(np.where(alike, kernel, 0.0) * (self.direction @ self.direction.T))
+
+
+def _apart(time_s: FloatArray) -> FloatArray:
+    """(N, N) seconds between any two times, less where these are few."""
+    return np.asarray(np.hypot(time_s[:, None] - time_s[None, :], _SMOOTH_S) - _SMOOTH_S)
+
+
+class Whitening:
+    """What makes the residuals of sightings independent, of unit variance.
+
+    Args:
+        blocks: Of `blocks_of`.
+        variance_px2: (N, 2) square pixels, of columns and rows, without the log's lasting error.
+        by_place: (N, 2, 2) pixels a metre, derivatives of columns and rows by east and north.
+        drift_m: Standard deviation of the lasting error.
+        drift_s: How long it lasts.
+    """
+
+    def __init__(
+        self,
+        blocks: list[Block],
+        variance_px2: FloatArray,
+        by_place: FloatArray,
+        drift_m: float,
+        drift_s: float,
+    ) -> None:
+        self._blocks = blocks
+        self._sigma = np.sqrt(variance_px2)
+        self._by_place = by_place
+        self.variance_px2 = variance_px2
+        self.kernels = [drift_m**2 * np.exp(-block.apart_s / drift_s) for block in blocks]
+        self.factors = []
+        for block, kernel in zip(blocks, self.kernels, strict=True):
+            covariance = np.kron(kernel, np.ones((2, 2))) * self.turned(block)
+            covariance[np.diag_indices_from(covariance)] += variance_px2[block.rows].ravel()
+            self.factors.append(cholesky(covariance, lower=True, check_finite=False))
+
+    def turned(self, block: Block) -> FloatArray:
+        """(2 n, 2 n) by how much an error that two sightings share moves both their pixels."""
+        flat = self._by_place[block.rows].reshape(-1, 2)
+        return np.asarray(flat @ flat.T)
+
+    def forward(self, values: FloatArray) -> FloatArray:
+        """Whiten (N, 2, K) pixels."""
+        out = values / self._sigma[:, :, None]
+        for block, factor in zip(self._blocks, self.factors, strict=True):
+            own = values[block.rows]
+            solved = solve_triangular(
+                factor, own.reshape(2 * block.rows.size, -1), lower=True, check_finite=False
+            )
+            out[block.rows] = solved.reshape(own.shape)
+        return np.asarray(out)
+
+    def backward(self, whitened: FloatArray) -> FloatArray:
+        """Of whitened values (N, 2, K) the product of the inverse covariance with the pixels."""
+        out = whitened / self._sigma[:, :, None]
+        for block, factor in zip(self._blocks, self.factors, strict=True):
+            own = whitened[block.rows]
+            solved = solve_triangular(
+                factor,
+                own.reshape(2 * block.rows.size, -1),
+                lower=True,
+                trans="T",
+                check_finite=False,
+            )
+            out[block.rows] = solved.reshape(own.shape)
+        return np.asarray(out)
+
+    def drift(self, weights: FloatArray) -> FloatArray:
+        """(N, 2) the likeliest lasting error, metres, of `backward`'s (N, 2) of the residuals."""
+        pulled = np.einsum("nij,ni->nj", self._by_place, weights)
+        out = np.zeros_like(pulled)
+        for block, kernel in zip(self._blocks, self.kernels, strict=True):
+            out[block.rows] = kernel @ pulled[block.rows]
+        return np.asarray(out)
+
+    def log_determinant(self) -> float:
+        """Half the logarithm of the determinant of the covariance."""
+        free = np.ones(len(self._sigma), dtype=bool)
+        for block in self._blocks:
+            free[block.rows] = False
+        value = float(np.log(self._sigma[free]).sum())
+        return value + sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
+
+    def slopes(
+        self, weights: FloatArray, solved: FloatArray, covariance: FloatArray, drift_s: float
+    ) -> tuple[FloatArray, float, float]:
+        """Slopes of minus the log-likelihood by all variances, and by the drift's parameters.
+
+        Args:
+            weights: (N, 2) inverse covariance times the residuals that the parameters leave.
+            solved: (N, 2, P) inverse covariance times the derivatives by the parameters.
+            covariance: (P, P) of the parameters.
+            drift_s: How long the lasting error lasts.
+
+        Returns:
+            (N, 2) by each variance; by the logarithm of ``drift_m``; and of ``drift_s``.
+        """
+        by_variance = 1.0 / self.variance_px2 - np.einsum(
+            "nik,kl,nil->ni", solved, covariance, solved, optimize=True
+        )
+        by_variance -= weights**2
+        by_size, by_length = 0.0, 0.0
+        for block, kernel, factor in zip(self._blocks, self.kernels, self.factors, strict=True):
+            inverse, _ = lapack.dpotri(factor, lower=True)
+            inverse += np.tril(inverse, -1).T
+            part = solved[block.rows].reshape(2 * block.rows.size, -1)
+            own = weights[block.rows].ravel()
+            inner = inverse - part @ covariance @ part.T - np.outer(own, own)
+            by_variance[block.rows] = np.diag(inner).reshape(-1, 2)
+            inner *= self.turned(block)
+            n = block.rows.size
+            together = inner.reshape(n, 2, n, 2).sum(axis=(1, 3)) * kernel
+            by_size += float(together.sum())
+            by_length += 0.5 * float(np.vdot(together, block.apart_s)) / drift_s
+        return 0.5 * by_variance, by_size, by_length
