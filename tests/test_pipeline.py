@@ -318,7 +318,12 @@ def test_run_takes_boxes_detections_and_videos(harbour: Simulation, tmp_path: Pa
         ),
     )
     told: list[str] = []
-    result = run(mixed, model="qkr", progress=lambda what, _share: told.append(what))
+    result = run(
+        mixed,
+        model="qkr",
+        detector="motion",
+        progress=lambda what, _share: told.append(what),
+    )
     assert list(result.tracks) == ["01", "02", "03"]
     assert [one.track_id for one in result.tracks["01"]] == [1]
     # The detections are of all boats.

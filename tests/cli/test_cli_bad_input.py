@@ -452,9 +452,9 @@ PICTURES = [
     ("no time", nothing, FRAMES, r"frames: nothing tells the time of frame 0"),
     (
         "seldom",
-        write("slow.csv", "frame,utc\n0,1700000000\n39,1700000156\n"),
+        write("slow.csv", "frame,utc\n0,1700000000\n39,1700000312\n"),
         FRAMES + " --clock {h}/slow.csv",
-        r"the pictures are 4\.0 s apart, and a target can be followed only where they are at most",
+        r"the pictures are 8\.0 s apart, and a target can be followed only where they are at most",
     ),
     (
         "another size",

@@ -56,6 +56,11 @@ ModelNameOption = Annotated[
     str, typer.Option("--model", help="nn, gpr, qkr, qkr+nn, qkr+gpr, camera or camera+gpr.")
 ]
 
+DetectorOption = Annotated[
+    str,
+    typer.Option(metavar="NAME|FILE.onnx", help="motion, harbour, or a detector in an ONNX file."),
+]
+
 
 def say(line: str = "") -> None:
     """Print a line as it is, however wide the terminal."""

@@ -8,7 +8,15 @@ from typing import Annotated
 import typer
 
 from sightline import formats, video
-from sightline.cli.common import JsonOption, keep_apart, parse_time, progress, say, write_result
+from sightline.cli.common import (
+    DetectorOption,
+    JsonOption,
+    keep_apart,
+    parse_time,
+    progress,
+    say,
+    write_result,
+)
 from sightline.detection import DEFAULT_DETECTOR, VIEWS, DetectorOptions, ViewSettings
 from sightline.detection.decoders import DECODERS
 from sightline.detection.onnx import PROVIDERS
@@ -17,10 +25,6 @@ from sightline.inference.model_file import load_model
 from sightline.pipeline.boxes import detect as detected
 from sightline.pipeline.boxes import frame_count, is_table, make_detector, same_size
 
-DetectorOption = Annotated[
-    str,
-    typer.Option(metavar="NAME|FILE.onnx", help="motion, harbour, or a detector in an ONNX file."),
-]
 DecoderOption = Annotated[
     str | None,
     typer.Option(
@@ -120,7 +124,7 @@ def detect(
     times = formats.read_clock(clock) if clock is not None else None
     frames = video.frames(source, clock=times, start_utc_s=parse_time(start_utc))
     if fitted is not None:
-        frames = same_size(frames, fitted, source)
+        frames = same_size(frames, fitted.image_size_px, source)
     count, boxes_found = 0, 0
     with formats.box_writer(output) as writer, progress() as tell:
         for boxes in detected(frames, found, frame_count(source), tell):

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from sightline.cli.common import (
+    DetectorOption,
     JsonOption,
     ModelNameOption,
     SeedOption,
@@ -18,6 +19,7 @@ from sightline.cli.common import (
     say,
     write_result,
 )
+from sightline.detection import DEFAULT_DETECTOR
 from sightline.inference.georeferencer import DEFAULT_MODEL
 from sightline.pipeline import DEFAULT_TRAJECTORY, RunResult, TrackSettings
 from sightline.pipeline import run as run_scene
@@ -31,7 +33,7 @@ def run(
         Path, typer.Option("--output", "-o", metavar="DIR", help="Where the results go.")
     ],
     model: ModelNameOption = DEFAULT_MODEL,
-    detector: Annotated[str, typer.Option(help="Where there are no boxes.")] = "motion",
+    detector: DetectorOption = DEFAULT_DETECTOR,
     trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
     interval_s: Annotated[
         float | None,

@@ -10,7 +10,16 @@ from typing import Annotated, Any
 import typer
 
 from sightline import formats
-from sightline.cli.common import JsonOption, keep_apart, parse_time, progress, say, write_result
+from sightline.cli.common import (
+    DetectorOption,
+    JsonOption,
+    keep_apart,
+    parse_time,
+    progress,
+    say,
+    write_result,
+)
+from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
@@ -54,7 +63,7 @@ def track(
             metavar="FILE", help="For a table of boxes: frame,left_y_px,right_y_px of the horizon."
         ),
     ] = None,
-    detector: Annotated[str, typer.Option(help="Finds boxes in frames.")] = "motion",
+    detector: DetectorOption = DEFAULT_DETECTOR,
     trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
     interval_s: Annotated[
         float | None,

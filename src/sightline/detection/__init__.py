@@ -11,7 +11,7 @@ from sightline.errors import InputError, unknown_name
 DETECTORS = ("motion", "harbour")
 """The detectors that need nothing but a name."""
 
-DEFAULT_DETECTOR = "motion"
+DEFAULT_DETECTOR = "harbour"
 
 __all__ = [
     "DEFAULT_DETECTOR",

@@ -38,6 +38,8 @@ from sightline.types import Fixes, Positions, Track, to_datetime64
 LEAST_OVERLAP_S = 5.0
 """A track that meets the log for less is not taken for the target while another meets it longer."""
 
+_AS_NEAR = 2.0
+
 
 @dataclass(frozen=True)
 class Matched:
@@ -284,7 +286,9 @@ def evaluate_tracks(
 
     Without a ``track_id`` the target is, in each recording, the one track with the smallest
     median error among those that meet the log for at least ``least_overlap_s`` (or, if none does,
-    for as long as any does). The report names it and says who chose.
+    for as long as any does), with those that continue it: tracks of other times that are about as
+    near, and within their own ellipses for most of their time. The report names them and says who
+    chose.
 
     Args:
         tracks: Tracks, or the tracks of each recording.
@@ -365,6 +369,7 @@ def pair_target(
         chosen, by = [number for number in paired if number in wanted], "track_id"
     else:
         chosen = _nearest(overlapping, least_overlap_s)
+        chosen += _continued(chosen, overlapping)
         by = "smallest median error"
     pairs = Pairs.concatenate(paired[number] for number in chosen)
     return pairs, TracksUsed(tuple(chosen), len(overlapping), by)
@@ -394,6 +399,31 @@ def _nearest(candidates: Mapping[int, Pairs], least_overlap_s: float) -> list[in
     least = min(least_overlap_s, max(overlap.values()))
     long_enough = [number for number in candidates if overlap[number] >= least]
     return [min(long_enough, key=lambda number: float(np.median(candidates[number].error_m)))]
+
+
+def _continued(chosen: list[int], candidates: Mapping[int, Pairs]) -> list[int]:
+    """Further tracks of the same target: seen while the chosen were not, and as near to the log.
+
+    A target that left the picture, or was hidden for long, comes back under another number. What
+    belongs to it lies within its own ellipses about the log for most of its time.
+    """
+    if not chosen:
+        return []
+    limit_m = _AS_NEAR * float(np.median(candidates[chosen[0]].error_m))
+    spans = [candidates[number].time_utc_s[[0, -1]] for number in chosen]
+    more: list[int] = []
+    for number in sorted(candidates, key=lambda n: -len(candidates[n])):
+        pairs = candidates[number]
+        first, last = pairs.time_utc_s[[0, -1]]
+        apart = all(last < begin or first > end for begin, end in spans)
+        error_m = float(np.median(pairs.error_m))
+        if number in chosen or not apart or error_m > limit_m:
+            continue
+        if not coverage(pairs).p95 > 0.5:
+            continue
+        more.append(number)
+        spans.append(np.array([first, last]))
+    return more
 
 
 def _log_of(fixes: Fixes | Mapping[str, Fixes], name: str) -> Fixes:

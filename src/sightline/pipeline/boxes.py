@@ -21,9 +21,12 @@ Progress = Callable[[str, float], None]
 
 _TABLE_SUFFIXES = (".csv", ".txt")
 _CHUNK_ROWS = 20_000
-_LOOKED_AT = 5
-# In a longer time a boat moves by more than its length.
+LOOKED_AT = 5
+"""So many pictures tell how far apart they are."""
+# In a longer time a boat moves by more than its length in the image.
 _SELDOM_S = 1.0
+# On the earth a vessel's way can be foretold for longer.
+_SELDOM_ON_EARTH_S = 6.0
 
 
 def detect(
@@ -138,19 +141,33 @@ class SeldomError(InputError):
     """Pictures or boxes between which a target cannot be followed."""
 
 
-def same_size(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
+def same_size(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
     """Pass pictures on, and refuse those of another size than those that the model learned from.
 
     Raises:
         InputError: A picture has another size.
     """
     for frame in frames:
-        size_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
-        if size_px != model.image_size_px:
+        own_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
+        if own_px != size_px:
             raise InputError(
-                f"{where}: its pictures have {size_px[0]} x {size_px[1]} px, the model learned "
-                f"from {model.image_size_px[0]} x {model.image_size_px[1]} px; fit one to pictures "
-                "of this size"
+                f"{where}: its pictures have {own_px[0]} x {own_px[1]} px, the model learned "
+                f"from {size_px[0]} x {size_px[1]} px; fit one to pictures of this size"
+            )
+        yield frame
+
+
+def usable(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those that no target can be found and placed in.
+
+    Raises:
+        InputError: A picture has no time, or another size than those that the model learned from.
+    """
+    for frame in same_size(frames, size_px, where):
+        if not np.isfinite(frame.time_utc_s):
+            raise InputError(
+                f"{where}: nothing tells the time of frame {frame.index}; give the start of the "
+                "video (--start-utc), or a clock (--clock)"
             )
         yield frame
 
@@ -159,36 +176,40 @@ def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> It
     """Pass pictures on, and refuse those that no target can be found and followed in.
 
     Raises:
-        InputError: A picture has no time, or another size than those that the model learned from.
+        InputError: See `usable`.
         SeldomError: They come too seldom.
     """
     first_s: list[float] = []
-    for frame in same_size(frames, model, where):
-        if not np.isfinite(frame.time_utc_s):
-            raise InputError(
-                f"{where}: nothing tells the time of frame {frame.index}; give the start of the "
-                "video (--start-utc), or a clock (--clock)"
-            )
+    for frame in usable(frames, model.image_size_px, where):
         yield frame
-        if len(first_s) < _LOOKED_AT:
+        if len(first_s) < LOOKED_AT:
             first_s.append(frame.time_utc_s)
-            if len(first_s) == _LOOKED_AT:
-                refuse_seldom(first_s, "pictures")
-    if len(first_s) < _LOOKED_AT:
-        refuse_seldom(first_s, "pictures")
+            if len(first_s) == LOOKED_AT:
+                refuse_seldom(first_s, "pictures", model)
+    if len(first_s) < LOOKED_AT:
+        refuse_seldom(first_s, "pictures", model)
 
 
-def refuse_seldom(times_s: Sequence[float], what: str) -> None:
+def follows_on_earth(model: Georeferencer) -> bool:
+    """Whether targets are followed on the earth's plane: a camera is known, and stands still.
+
+    The places of other models are too rough, and before a moving camera they are relative to it.
+    """
+    return model.camera is not None and not model.moving
+
+
+def refuse_seldom(times_s: Sequence[float], what: str, model: Georeferencer) -> None:
     """Refuse what no target can be followed in.
 
     Raises:
         SeldomError: The times are too far apart.
     """
     apart_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
-    if apart_s > _SELDOM_S:
+    most_s = _SELDOM_ON_EARTH_S if follows_on_earth(model) else _SELDOM_S
+    if apart_s > most_s:
         raise SeldomError(
             f"the {what} are {apart_s:.1f} s apart, and a target can be followed only where they "
-            f"are at most {_SELDOM_S:g} s apart; give the video itself, or boxes with a track_id"
+            f"are at most {most_s:g} s apart; give the video itself, or boxes with a track_id"
         )
 
 

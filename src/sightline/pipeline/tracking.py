@@ -19,6 +19,7 @@ from sightline.pipeline.boxes import (
     Progress,
     detect,
     fit_for_use,
+    follows_on_earth,
     frame_count,
     in_hand,
     is_table,
@@ -99,7 +100,8 @@ def track(
     Args:
         source: A video, a folder of frames, a stream, a table of boxes, or boxes.
         model: Says where a box lies.
-        detector: Finds boxes in frames; a name, or one's own. Absent: ``"motion"``.
+        detector: Finds boxes in frames: a name, the path of an ONNX file, or one's own. Absent:
+            ``"harbour"``.
         clock: Tells the times of frames; absent: the video or the table does.
         start_utc_s: POSIX seconds of a video's first frame.
         platform: What the camera stands on, or its log, where that moves.
@@ -231,17 +233,11 @@ def follow(
                 forecasts(_forecast(boxes, model, settings, made, platform))
             yield made
     if count == 0:
-        refuse_seldom(first_s, "boxes")
+        refuse_seldom(first_s, "boxes", model)
 
 
 def _tracker(model: Georeferencer) -> Tracker:
-    """On the earth's plane where the model is a camera that stands still.
-
-    The places of other models are too rough, and before a moving camera they are relative to it.
-    """
-    if model.camera is None or model.moving:
-        return ImageTracker()
-    return WorldTracker(model.locate)
+    return WorldTracker(model.locate) if follows_on_earth(model) else ImageTracker()
 
 
 def _forecast(

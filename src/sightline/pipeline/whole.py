@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import FitError
 from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
 from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer, fit
 from sightline.inference.levelling import scene_horizons
 from sightline.pipeline.boxes import (
+    LOOKED_AT,
     Progress,
     SeldomError,
     detect,
-    fit_for_use,
     frame_count,
     in_hand,
     make_detector,
+    refuse_seldom,
     timed,
+    usable,
 )
 from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
-from sightline.pipeline.tracking import TrackSettings, follow, smooth_boxes
+from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.scene import Recording, Scene
 from sightline.tracking import iou
 from sightline.tracks import Tracks
 from sightline.trajectory import method
-from sightline.types import NO_TRACK, Boxes, Track
+from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +66,7 @@ def run(
     scene: Scene,
     *,
     model: str = DEFAULT_MODEL,
-    detector: str = "motion",
+    detector: str = DEFAULT_DETECTOR,
     settings: TrackSettings | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -83,10 +86,9 @@ def run(
         FitError: No model can be learned from the scene.
     """
     settings = settings or TrackSettings()
-    # Unknown names are told before the work begins.
-    make_detector(detector, None)
     tell = progress or (lambda _what, _share: None)
-    extra = _taught(scene, detector, tell) if any(map(_unseen, scene.recordings)) else {}
+    seen = _Seen(scene, detector, tell)
+    extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
     tell("fitting", float("nan"))
     fitted = fit(scene, model, seed=seed, extra=extra)
     notes: list[str] = []
@@ -103,22 +105,18 @@ def run(
     scored: dict[str, tuple[ScoredPairs, TracksUsed]] = {}
     for recording in scene.recordings:
         tell(f"tracking {recording.name}", float("nan"))
-        if recording.boxes_path is not None:
-            made = [_target(recording, fitted, settings)]
-            tracks[recording.name] = Tracks(tuple(t for t in made if t is not None))
-            held = models.get(recording.name)
-            judged = made if held is None else [_target(recording, held, settings)]
+        held = models.get(recording.name, fitted)
+        try:
+            made = _tracks(recording, fitted, seen, settings)
+            judged = made if held is fitted else _tracks(recording, held, seen, settings)
+        except SeldomError as error:
+            made = judged = []
+            notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
         else:
-            try:
-                judged = list(_others(recording, fitted, detector, settings, tell))
-            except SeldomError as error:
-                judged = []
-                notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
-            else:
-                if recording.detections_path is None:
-                    detected.append(recording.name)
-            tracks[recording.name] = Tracks(tuple(t for t in judged if t is not None))
-        pairs = _against_log(recording, [t for t in judged if t is not None])
+            if _unseen(recording):
+                detected.append(recording.name)
+        tracks[recording.name] = Tracks(tuple(made))
+        pairs = _against_log(recording, judged)
         if pairs is not None:
             scored[recording.name] = pairs
     placed: list[Placed] = []
@@ -149,7 +147,54 @@ def _unseen(recording: Recording) -> bool:
     return recording.boxes_path is None and recording.detections_path is None
 
 
-def _taught(scene: Scene, detector: str, tell: Progress) -> dict[str, Boxes]:
+class _Seen:
+    """What a detector finds in the pictures of a scene, each recording looked at once."""
+
+    def __init__(self, scene: Scene, detector: str, tell: Progress) -> None:
+        """Take the detector's name.
+
+        Raises:
+            InputError: It is not known.
+        """
+        # Unknown names are told before the work begins.
+        make_detector(detector, None)
+        self._size_px = scene.image_size_px
+        self._detector = detector
+        self._tell = tell
+        self._found: dict[str, tuple[Boxes, FloatArray]] = {}
+
+    def boxes(self, recording: Recording) -> Boxes:
+        """The boxes in a recording's pictures, with their times."""
+        return self._look(recording)[0]
+
+    def times_utc_s(self, recording: Recording) -> FloatArray:
+        """(N,) the times of its pictures."""
+        return self._look(recording)[1]
+
+    def _look(self, recording: Recording) -> tuple[Boxes, FloatArray]:
+        if recording.name not in self._found:
+            assert recording.source is not None, "a recording has boxes, detections or pictures"
+            times: list[float] = []
+
+            def noted(frames: Iterable[Frame]) -> Iterator[Frame]:
+                for frame in frames:
+                    times.append(frame.time_utc_s)
+                    yield frame
+
+            frames = usable(recording.frames(), self._size_px, f"recording {recording.name}")
+            found = list(
+                detect(
+                    noted(frames),
+                    make_detector(self._detector, None),
+                    frame_count(recording.source),
+                    lambda _what, share: self._tell(f"detecting in {recording.name}", share),
+                )
+            )
+            self._found[recording.name] = Boxes.concatenate(found), np.array(times)
+        return self._found[recording.name]
+
+
+def _taught(scene: Scene, seen: _Seen) -> dict[str, Boxes]:
     """What a detector makes of the target where somebody has drawn its boxes.
 
     Every source of boxes has its own habit at the lower edge. Where the same target was drawn and
@@ -157,26 +202,12 @@ def _taught(scene: Scene, detector: str, tell: Progress) -> dict[str, Boxes]:
     """
     out: dict[str, Boxes] = {}
     for recording in scene.recordings:
-        if recording.boxes_path is None or recording.video_path is None:
+        if recording.boxes_path is None or recording.source is None:
             continue
-        drawn = recording.boxes()
-        found = [
-            boxes[np.isin(boxes.frame, drawn.frame)]
-            for boxes in detect(
-                recording.frames(),
-                make_detector(detector, None),
-                frame_count(recording.video_path),
-                _renamed(tell, f"detecting in {recording.name}"),
-            )
-        ]
-        same = _same_target(drawn, Boxes.concatenate(found))
+        same = _same_target(recording.boxes(), seen.boxes(recording))
         if len(same):
             out[recording.name] = same
     return out
-
-
-def _renamed(tell: Progress, what: str) -> Progress:
-    return lambda _what, share: tell(what, share)
 
 
 def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
@@ -193,43 +224,26 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
     return found[np.array(sorted(set(rows)), dtype=np.int64)]
 
 
-def _target(recording: Recording, model: Georeferencer, settings: TrackSettings) -> Track | None:
-    """The one track of the boxes of the target that was logged."""
-    return smooth_boxes(
-        model.level(recording.boxes(), scene_horizons(recording)),
-        model,
-        method(settings.trajectory),
-        settings,
-        track_id=1,
-        platform=recording.platform(),
-    )
-
-
-def _others(
-    recording: Recording,
-    model: Georeferencer,
-    detector: str,
-    settings: TrackSettings,
-    tell: Progress,
-) -> Iterator[Track]:
-    """The tracks of whatever is seen in a recording without boxes."""
+def _tracks(
+    recording: Recording, model: Georeferencer, seen: _Seen, settings: TrackSettings
+) -> list[Track]:
+    """The tracks of a recording: of the target that somebody drew, or of whatever is seen."""
     smoother = method(settings.trajectory)
     where = f"recording {recording.name}"
-    highest_id = NO_TRACK
+    platform, horizons = recording.platform(), scene_horizons(recording)
+    check_platform(model, platform, f"{where}: ")
+    if recording.boxes_path is not None:
+        boxes = model.level(recording.boxes(), horizons)
+        made = smooth_boxes(boxes, model, smoother, settings, track_id=1, platform=platform)
+        return [] if made is None else [made]
     if recording.detections_path is not None:
         batches, highest_id = in_hand(recording.detections())
     else:
-        assert recording.source is not None, "a recording has boxes, detections or pictures"
-        batches = detect(
-            fit_for_use(recording.frames(), model, where),
-            make_detector(detector, model),
-            frame_count(recording.source),
-            _renamed(tell, f"detecting in {recording.name}"),
-        )
+        refuse_seldom(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
+        batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK
     with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    horizons = scene_horizons(recording)
     level = (model.level(boxes, horizons) for boxes in with_times)
-    yield from follow(level, model, smoother, settings, highest_id, recording.platform())
+    return list(follow(level, model, smoother, settings, highest_id, platform))
 
 
 def _against_log(

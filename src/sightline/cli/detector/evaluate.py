@@ -7,11 +7,17 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, keep_apart, progress, say, write_result
+from sightline.cli.common import (
+    DetectorOption,
+    JsonOption,
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
 from sightline.cli.detect import (
     ClassesOption,
     DecoderOption,
-    DetectorOption,
     ProviderOption,
     ThresholdOption,
     ViewsOption,
