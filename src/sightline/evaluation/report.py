@@ -38,7 +38,7 @@ from sightline.types import Fixes, Positions, Track, to_datetime64
 LEAST_OVERLAP_S = 5.0
 """A track that meets the log for less is not taken for the target while another meets it longer."""
 
-_AS_NEAR = 2.0
+_AS_NEAR, _AS_LONG = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -286,9 +286,9 @@ def evaluate_tracks(
 
     Without a ``track_id`` the target is, in each recording, the one track with the smallest
     median error among those that meet the log for at least ``least_overlap_s`` (or, if none does,
-    for as long as any does), with those that continue it: tracks of other times that are about as
-    near, and within their own ellipses for most of their time. The report names them and says who
-    chose.
+    for as long as any does), and half as long as the longest whose ellipses hold the log for most
+    of the time; with those that continue it: tracks of other times that are about as near and agree
+    as well. The report names them and says who chose.
 
     Args:
         tracks: Tracks, or the tracks of each recording.
@@ -397,8 +397,17 @@ def _nearest(candidates: Mapping[int, Pairs], least_overlap_s: float) -> list[in
         return []
     overlap = {number: float(np.ptp(pairs.time_utc_s)) for number, pairs in candidates.items()}
     least = min(least_overlap_s, max(overlap.values()))
-    long_enough = [number for number in candidates if overlap[number] >= least]
+    # What crosses the log for a moment is nearer to it then than the target itself.
+    agreeing = [number for number, pairs in candidates.items() if _agrees(pairs)]
+    if agreeing:
+        least = max(least, _AS_LONG * max(overlap[number] for number in agreeing))
+    long_enough = [number for number in agreeing or candidates if overlap[number] >= least]
     return [min(long_enough, key=lambda number: float(np.median(candidates[number].error_m)))]
+
+
+def _agrees(pairs: Pairs) -> bool:
+    """Whether the log lies within the ellipses of a track for most of its time."""
+    return bool(coverage(pairs).p95 > 0.5)
 
 
 def _continued(chosen: list[int], candidates: Mapping[int, Pairs]) -> list[int]:
@@ -419,7 +428,7 @@ def _continued(chosen: list[int], candidates: Mapping[int, Pairs]) -> list[int]:
         error_m = float(np.median(pairs.error_m))
         if number in chosen or not apart or error_m > limit_m:
             continue
-        if not coverage(pairs).p95 > 0.5:
+        if not _agrees(pairs):
             continue
         more.append(number)
         spans.append(np.array([first, last]))
