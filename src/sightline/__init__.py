@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 from sightline.errors import FitError, InputError, ModelFileError, SightlineError
 
 if TYPE_CHECKING:
-    from sightline.inference.georeferencer import MODELS, Georeferencer, fit
+    from sightline.association.teach import fit_scene as fit
+    from sightline.inference.georeferencer import MODELS, Georeferencer
     from sightline.inference.model_file import load_model as load
     from sightline.pipeline import compare, evaluate, iter_tracks, run, track
     from sightline.scene import Scene
@@ -25,7 +26,8 @@ __version__ = _version("sightline")
 
 # Where the names are that bring scikit-learn, video and readers along: on first use.
 _LATER = {
-    **dict.fromkeys(("MODELS", "Georeferencer", "fit"), "sightline.inference.georeferencer"),
+    "fit": "sightline.association.teach",
+    **dict.fromkeys(("MODELS", "Georeferencer"), "sightline.inference.georeferencer"),
     "load": "sightline.inference.model_file",
     **dict.fromkeys(("compare", "evaluate", "iter_tracks", "run", "track"), "sightline.pipeline"),
     "Scene": "sightline.scene",
@@ -37,7 +39,8 @@ _LATER = {
 def __getattr__(name: str) -> Any:
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(_import_module(_LATER[name]), "load_model" if name == "load" else name)
+    module = _import_module(_LATER[name])
+    value = getattr(module, {"load": "load_model", "fit": "fit_scene"}.get(name, name))
     globals()[name] = value
     return value
 

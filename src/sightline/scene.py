@@ -246,6 +246,20 @@ class Recording:
             raise InputError(f"{self.horizon_path}: {error}") from error
         return Horizons(times, lines[:, 0], lines[:, 1])
 
+    def logs(self) -> tuple[formats.AisVessel, ...]:
+        """The logs of whatever may be in view: of one target, or of all vessels of an AIS feed.
+
+        An AIS log of which no vessel is chosen (``mmsi``) is a feed.
+
+        Raises:
+            InputError: The recording has none, or it cannot be used.
+        """
+        path = self.fixes_path
+        if path is not None and self.mmsi is None and formats.holds_ais(path):
+            return _feed(path, path.stat().st_mtime_ns)
+        fixes = self.fixes()
+        return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
+
     def frames(self) -> Iterator[Frame]:
         """The pictures, one at a time, with their times; NaN where nothing tells them.
 
@@ -452,6 +466,11 @@ def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
 @lru_cache(maxsize=32)
 def _platform(path: Path, _modified_ns: int) -> Platform:
     return Platform(formats.read_fixes(path), formats.read_headings(path))
+
+
+@lru_cache(maxsize=8)
+def _feed(path: Path, _modified_ns: int) -> tuple[formats.AisVessel, ...]:
+    return tuple(formats.read_ais_feed(path).values())
 
 
 @lru_cache(maxsize=128)

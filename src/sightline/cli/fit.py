@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from sightline.association import fit_scene, update_scene
+from sightline.association.associate import LARGEST_OFFSET_S
 from sightline.cli.common import (
     JsonOption,
     ModelNameOption,
@@ -16,8 +19,9 @@ from sightline.cli.common import (
     say,
     write_result,
 )
+from sightline.detection import detector_by_name
 from sightline.inference.georeferencer import DEFAULT_MODEL
-from sightline.inference.georeferencer import fit as fit_scene
+from sightline.inference.model_file import load_model
 from sightline.scene import Scene
 
 
@@ -31,13 +35,66 @@ def fit(
     ],
     model: ModelNameOption = DEFAULT_MODEL,
     seed: SeedOption = 0,
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            "--detector",
+            help="Finds boxes in the pictures where nobody drew any and no detections are given.",
+        ),
+    ] = None,
+    largest_offset_s: Annotated[
+        float,
+        typer.Option(
+            "--largest-offset",
+            metavar="SECONDS",
+            min=0.0,
+            max=600.0,
+            help="How far the clocks of camera and log may be off where no boxes are drawn.",
+        ),
+    ] = LARGEST_OFFSET_S,
+    update: Annotated[
+        Path | None,
+        typer.Option(
+            "--update",
+            metavar="MODEL",
+            dir_okay=False,
+            help="Improve this model with the scene, and say whether its camera was turned since.",
+        ),
+    ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Learn where a box in the image lies on the earth."""
-    keep_apart([output, json], [scene])
+    """Learn where a box in the image lies on the earth.
+
+    Without drawn boxes, the logged vessels are recognised among the recordings' detections.
+    """
+    keep_apart([output, json], [scene, update])
+    make = None
+    if detector is not None:
+        detector_by_name(detector)
+        make = partial(detector_by_name, detector)
     with progress() as tell:
         tell(f"fitting {model}", float("nan"))
-        fitted = fit_scene(Scene.load(scene), model, seed=seed)
+        loaded = Scene.load(scene)
+        if update is not None:
+            old = load_model(update)
+            model = old.model
+            fitted = update_scene(
+                loaded,
+                old,
+                seed=seed,
+                detector=make,
+                largest_offset_s=largest_offset_s,
+                progress=tell,
+            )
+        else:
+            fitted = fit_scene(
+                loaded,
+                model,
+                seed=seed,
+                detector=make,
+                largest_offset_s=largest_offset_s,
+                progress=tell,
+            )
         fitted.save(output)
     report = fitted.report
     write_result(json, {"model": str(output), "fit": report.to_dict()})

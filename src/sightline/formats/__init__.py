@@ -16,7 +16,7 @@ import pandas as pd
 
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
-from sightline.formats.ais import read_ais, read_ais_vessel
+from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
 from sightline.formats.atomic import atomic_path
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
@@ -36,12 +36,15 @@ from sightline.geodesy import LocalPlane
 from sightline.types import Boxes, Fixes, Track
 
 __all__ = [
+    "AisVessel",
     "BoxWriter",
     "TrackWriter",
     "atomic_path",
     "box_writer",
+    "holds_ais",
     "iter_boxes",
     "read_ais",
+    "read_ais_feed",
     "read_boxes",
     "read_clock",
     "read_control_points",
@@ -144,6 +147,16 @@ def read_fixes(path: str | os.PathLike[str], *, mmsi: int | None = None) -> Fixe
         f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC or GGA), AIS (!AIVDM) or "
         "a .csv table with time_utc,latitude_deg,longitude_deg"
     )
+
+
+def holds_ais(path: str | os.PathLike[str]) -> bool:
+    """Whether a log is one of AIS sentences, and not of a receiver on board.
+
+    Raises:
+        InputError: The file is missing or cannot be read.
+    """
+    head = _files.beginning(path)
+    return bool(_AIS.search(head)) and not _NMEA.search(head)
 
 
 def write_fixes(fixes: Fixes, path: str | os.PathLike[str]) -> None:

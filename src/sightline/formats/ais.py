@@ -16,7 +16,7 @@ import pyais.messages
 
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.types import Fixes
+from sightline.types import Fixes, FloatArray
 
 _logger = logging.getLogger(__name__)
 
@@ -37,6 +37,7 @@ _ISO_TIME = re.compile(
     r"\d{4}[-/]\d{2}[-/]\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:Z|[+-]\d{2}:?\d{2})?"
 )
 _POSIX_TIME = re.compile(r"(?<![\w.])(\d{13}|\d{10}(?:\.\d+)?)(?![\w.])")
+_KNOT_MPS = 1852.0 / 3600.0
 _WAITING = 64
 """How many unfinished messages are remembered; their parts follow each other closely."""
 
@@ -47,6 +48,21 @@ class _Report:
     time_utc_s: float
     latitude_deg: float
     longitude_deg: float
+    velocity_mps: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class AisVessel:
+    """What a receiver logged of one vessel.
+
+    Attributes:
+        fixes: Its positions; their name is the MMSI.
+        velocity_mps: (N, 2) float64, east and north, from the speed and the course over ground of
+            each report; NaN where a report does not tell them.
+    """
+
+    fixes: Fixes
+    velocity_mps: FloatArray
 
 
 def read_ais(path: str | os.PathLike[str]) -> dict[int, Fixes]:
@@ -65,15 +81,31 @@ def read_ais(path: str | os.PathLike[str]) -> dict[int, Fixes]:
     Raises:
         InputError: No report is usable, or none has a time.
     """
-    vessels: dict[int, set[tuple[float, float, float]]] = {}
+    return {mmsi: vessel.fixes for mmsi, vessel in read_ais_feed(path).items()}
+
+
+def read_ais_feed(path: str | os.PathLike[str]) -> dict[int, AisVessel]:
+    """As `read_ais`, with the velocities that the reports tell.
+
+    Args:
+        path: The log.
+
+    Raises:
+        InputError: As `read_ais`.
+    """
+    vessels: dict[int, dict[tuple[float, float, float], tuple[float, float]]] = {}
     for report in _reports(path):
         place = (report.time_utc_s, report.latitude_deg, report.longitude_deg)
-        vessels.setdefault(report.mmsi, set()).add(place)
-    fixes = {}
+        vessels.setdefault(report.mmsi, {}).setdefault(place, report.velocity_mps)
+    feed = {}
     for mmsi in sorted(vessels):
-        columns = np.array(sorted(vessels[mmsi]))
-        fixes[mmsi] = Fixes(columns[:, 0], columns[:, 1], columns[:, 2], name=str(mmsi))
-    return fixes
+        places = sorted(vessels[mmsi])
+        columns = np.array(places)
+        feed[mmsi] = AisVessel(
+            Fixes(columns[:, 0], columns[:, 1], columns[:, 2], name=str(mmsi)),
+            np.array([vessels[mmsi][place] for place in places]),
+        )
+    return feed
 
 
 def read_ais_vessel(path: str | os.PathLike[str], mmsi: int | None) -> Fixes:
@@ -143,6 +175,7 @@ def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
                 _refined_s(time_s, second) if second < 60 else time_s,
                 float(message.lat),
                 float(message.lon),
+                _velocity_mps(message.speed, message.course),
             )
     if spoilt:
         _logger.warning("%s: %d AIS messages are spoilt and left out", path, spoilt)
@@ -154,6 +187,15 @@ def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
         )
     if not usable:
         raise InputError(f"{path}: holds no usable AIS position report; {spoilt} are spoilt")
+
+
+def _velocity_mps(speed_knots: float, course_deg: float) -> tuple[float, float]:
+    """East and north, metres a second; NaN where one of the two is not available."""
+    # 102.3 knots (63 in type 27) and 360 degrees (511 in type 27) say so.
+    if not (speed_knots < 102.3 and course_deg < 360.0):
+        return float("nan"), float("nan")
+    speed, course = speed_knots * _KNOT_MPS, np.radians(course_deg)
+    return float(speed * np.sin(course)), float(speed * np.cos(course))
 
 
 def _reception_s(text: str, match: re.Match[str]) -> float | None:

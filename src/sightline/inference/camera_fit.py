@@ -90,7 +90,8 @@ class CameraPrior:
         half_length_m: Mean and standard deviation; of the target.
         half_beam_m: Mean and standard deviation; of the target.
         position_sigma_m: Of the camera about the place that the scene states.
-        bias_px_sigma: Of each source's lower edge, pixels.
+        bias_px: Mean of each source's lower edge, pixels; negative where boxes end too high.
+        bias_px_sigma: Its standard deviation.
         bias_m_sigma: Of each source's lower edge, metres of height at the target.
         clock_sigma_s: Of each recording's clock against the log: logs and clocks often keep whole
             seconds.
@@ -107,6 +108,7 @@ class CameraPrior:
     half_length_m: tuple[float, float] = (0.0, 2.0)
     half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
+    bias_px: float = 0.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3
     clock_sigma_s: float = 0.5
@@ -152,7 +154,7 @@ class CameraPrior:
             self.half_beam_m[1],
         ]
         return (
-            np.array(mean + [0.0, 0.0] * n_sources + [0.0] * n_clocks),
+            np.array(mean + [self.bias_px, 0.0] * n_sources + [0.0] * n_clocks),
             np.array(
                 sigma
                 + [self.bias_px_sigma, self.bias_m_sigma] * n_sources

@@ -102,6 +102,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         time_s: ArrayLike | None = None,
         control_px: ArrayLike | None = None,
         control_east_north_m: ArrayLike | None = None,
+        control_sigma_m: ArrayLike | None = None,
     ) -> Self:
         """Learn from boxes and control points.
 
@@ -115,6 +116,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 NaN: those of a recording are not.
             control_px: (M, 2) pixels of control points.
             control_east_north_m: (M, 2) metres.
+            control_sigma_m: (M,) how far off each may lie; absent: `CONTROL_POINT_SIGMA_M`.
 
         Raises:
             FitError: The pairs are too few, or all in one place.
@@ -135,6 +137,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         index = np.searchsorted(self.sources_, names) if n else np.empty(0, dtype=np.int64)
         self._group: IntArray = np.unique(groups, return_inverse=True)[1].astype(np.int64)
         foot = _foot(boxes)
+        certain = np.full(m, CONTROL_POINT_SIGMA_M)
+        if control_sigma_m is not None:
+            certain = np.asarray(control_sigma_m, dtype=np.float64)
         # Points of a map are independent of one another: each is a group of its own.
         own = int(self._group.max(initial=-1)) + 1 + np.arange(m)
         sightings = Sightings(
@@ -144,7 +149,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             source=np.concatenate([index, np.full(m, NO_SOURCE)]).astype(np.int64),
             group=np.concatenate([self._group, own]).astype(np.int64),
             velocity_mps=np.concatenate([velocity, np.zeros((m, 2))]),
-            sigma_m=np.concatenate([np.zeros(n), np.full(m, CONTROL_POINT_SIGMA_M)]),
+            sigma_m=np.concatenate([np.zeros(n), certain]),
             time_s=np.concatenate([times, np.full(m, np.nan)]),
             width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
         )

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
-from sightline.inference.camera_fit import FIRST_SOURCE, TARGET_PARAMETERS
-from sightline.inference.camera_model import CameraRegressor
+from sightline.inference.camera_fit import FIRST_SOURCE, TARGET_PARAMETERS, CameraPrior
+from sightline.inference.camera_model import CONTROL_POINT_SIGMA_M, CameraRegressor
 from sightline.inference.levelling import level, nominal_camera, scene_horizons
-from sightline.inference.pairs import Pairs, scene_pairs
+from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
 from sightline.inference.paper import PAPER_MODELS, PaperModel, paper_model
 from sightline.inference.support import Support
 from sightline.scene import Scene
@@ -363,8 +363,11 @@ def fit_pairs(
     position_known: bool,
     image_size_px: tuple[int, int],
     seed: int = 0,
+    prior: CameraPrior | None = None,
+    landmarks: Landmarks | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from pairs and the control points of a scene; see `fit`."""
+    """Learn a georeferencer from pairs, control points and landmarks; see `fit`."""
+    far = Landmarks.none() if landmarks is None else landmarks
     control = scene.control_points
     control_east_north = np.stack(
         pairs.plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1
@@ -382,6 +385,7 @@ def fit_pairs(
         regressor = CameraRegressor(
             image_size_px,
             residual=model == "camera+gpr",
+            prior=prior,
             position_known=position_known,
             starts=8 if position_known else 24,
             random_state=seed,
@@ -392,8 +396,11 @@ def fit_pairs(
             group=pairs.recording,
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
-            control_px=control.pixel_px,
-            control_east_north_m=control_east_north,
+            control_px=np.concatenate([control.pixel_px, far.pixel_px]),
+            control_east_north_m=np.concatenate([control_east_north, far.east_north_m]),
+            control_sigma_m=np.concatenate(
+                [np.full(len(control), CONTROL_POINT_SIGMA_M), far.sigma_m]
+            ),
         )
         places = regressor.predict(boxes, source=pairs.boxes.source)
         pixels = np.concatenate([foot, control.pixel_px])

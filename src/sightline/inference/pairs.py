@@ -49,6 +49,31 @@ class Pairs:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Pixels whose place is known roughly: along the far shore, or at the horizon.
+
+    What is far away may lie anywhere on hundreds of metres, and still tells the row of the horizon.
+
+    Attributes:
+        pixel_px: (M, 2) float64, x and y.
+        east_north_m: (M, 2) float64, metres in the plane.
+        sigma_m: (M,) float64, how far off each may lie, in every direction.
+    """
+
+    pixel_px: FloatArray
+    east_north_m: FloatArray
+    sigma_m: FloatArray
+
+    @classmethod
+    def none(cls) -> Landmarks:
+        """No landmarks."""
+        return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
+
+    def __len__(self) -> int:
+        return int(self.sigma_m.size)
+
+
 def scene_pairs(
     scene: Scene,
     plane: LocalPlane,

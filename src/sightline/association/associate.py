@@ -1,0 +1,295 @@
+"""Whose log is it: which of what is seen is which logged vessel, without any box drawn by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sightline.association.evidence import Match, cost, goes_along, matches
+from sightline.association.refine import Explanation, Refiner
+from sightline.association.search import Watch, candidates
+from sightline.errors import FitError
+from sightline.inference.camera import Camera
+from sightline.types import BoolArray, FloatArray, IntArray
+
+LARGEST_OFFSET_S = 60.0
+"""Clocks that are further apart than this are not brought together."""
+
+LEAST_EVIDENCE = 0.0
+LEAST_LEAD = 2.0
+"""An explanation counts where it is likelier than none by the first, and by the second than the
+next one that says something else; in nats."""
+
+# Within so many standard deviations of where the log says it is, a box is a part of the vessel.
+_GATE = 6.0
+_NARROW_GATE = 2.5
+_LASTING = 10
+_BRIDGE_S = 15.0
+_HULL_M = 6.0
+_HULL_ROW_M = 0.6
+_MOST_CANDIDATES = 12
+_MOST_WITH_FEED = 6
+_SAME_OFFSET_S = 4.0
+_SAME_HEADING_DEG = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A logged vessel in a recording.
+
+    Attributes:
+        recording: Name of the recording.
+        vessel: Name of the log; an MMSI where it is of an AIS feed.
+        gain: How much the log foretells of what is seen, in nats.
+        rows: (K,) observations of the recording that taught, in the order of time.
+        taken: (M,) bool, which boxes of the recording are the vessel's.
+        first_utc_s: When it is first seen, by the camera's clock.
+        last_utc_s: When it is last seen.
+    """
+
+    recording: str
+    vessel: str
+    gain: float
+    rows: IntArray
+    taken: BoolArray
+    first_utc_s: float
+    last_utc_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Who is who, and how sure that is.
+
+    Attributes:
+        watches: The recordings.
+        camera: That explains all of them.
+        found: The vessels, by recording.
+        offset_s: By recording, what is to be added to its times to agree with the log.
+        offset_sigma_s: By recording, how sure that is.
+        evidence: By how much this explanation is likelier than that no logged vessel is in view,
+            in nats.
+        runner_up: The same of the next best explanation that says something else; minus infinity
+            where there is none.
+        statements: Sentences for people.
+    """
+
+    watches: tuple[Watch, ...]
+    camera: Camera
+    found: tuple[Found, ...]
+    offset_s: Mapping[str, float]
+    offset_sigma_s: Mapping[str, float]
+    evidence: float
+    runner_up: float
+    statements: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    explanation: Explanation
+    matches: list[Match]
+    evidence: float
+
+
+def associate(
+    watches: Sequence[Watch],
+    image_size_px: tuple[int, int],
+    *,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+) -> Association:
+    """Find the logged vessels among what is seen.
+
+    Args:
+        watches: The recordings of one camera that stands still, at the origin of the logs' plane
+            within some metres.
+        image_size_px: Width and height.
+        largest_offset_s: How far the clocks may be off.
+
+    Raises:
+        FitError: What is seen cannot be told from something without a log, or two explanations
+            are as good as each other.
+    """
+    watches = tuple(watch for watch in watches if len(watch.seen) and watch.paths)
+    if not watches:
+        raise FitError("no recording has both boxes and a log, so nobody can be recognised")
+    feed = max(len(watch.paths) for watch in watches) > 4
+    starts = candidates(
+        watches,
+        image_size_px,
+        largest_offset_s=largest_offset_s,
+        count=_MOST_WITH_FEED if feed else _MOST_CANDIDATES,
+    )
+    refiner = Refiner(watches, image_size_px, largest_offset_s=largest_offset_s)
+    judged = []
+    for start in starts:
+        explanation = refiner.refine(start)
+        found = matches(watches, explanation, image_size_px)
+        evidence = sum(match.gain for match in found)
+        evidence -= cost(explanation, largest_offset_s, image_size_px)
+        judged.append(_Judged(explanation, found, evidence))
+    judged.sort(key=lambda one: -one.evidence)
+    best = judged[0]
+    if not best.matches or best.evidence < LEAST_EVIDENCE:
+        raise FitError(
+            "no logged vessel can be told from what else is seen: the best explanation is "
+            f"{max(-best.evidence, 0.0):.0f} nats less likely than none; check the clock and that "
+            "the log is of something in view, give more recordings, or draw boxes"
+        )
+    other = next((one for one in judged[1:] if _differ(best, one)), None)
+    runner_up = other.evidence if other else -np.inf
+    if best.evidence - runner_up < LEAST_LEAD:
+        raise FitError(
+            "two explanations are about as good as each other: clocks "
+            f"{_offset(best):.0f} s or {_offset(other or best):.0f} s apart; give more recordings, "
+            "a log of more turns, or draw boxes"
+        )
+    more = _also(refiner, best, image_size_px)
+    return _summary(watches, image_size_px, more, float(runner_up))
+
+
+def _also(refiner: Refiner, best: _Judged, image_size_px: tuple[int, int]) -> _Judged:
+    """The explanation with the vessels that it misses because of their size.
+
+    A long hull ends far nearer to the camera than where its receiver is. While nothing was known,
+    room for that would have let in others; with the camera known it does not.
+    """
+    known = best.explanation
+    state = np.concatenate([known.vector, known.offset_s])
+    wide = replace(
+        known.noise,
+        place_m=max(known.noise.place_m, _HULL_M),
+        row_m=max(known.noise.row_m, _HULL_ROW_M),
+    )
+    wider = refiner.explain(state, wide)
+    kept = list(best.matches)
+    standard = [one.copy() for one in known.standard]
+    for match in matches(refiner.watches, wider, image_size_px):
+        here = [one for one in kept if one.recording == match.recording]
+        if any(one.vessel == match.vessel for one in here):
+            continue
+        if any(np.isin(match.rows, one.rows).any() for one in here):
+            continue
+        kept.append(match)
+        index = match.recording
+        standard[index][match.vessel] = wider.standard[index][match.vessel]
+    return _Judged(replace(known, standard=tuple(standard)), kept, best.evidence)
+
+
+def _offset(one: _Judged) -> float:
+    known = {match.recording for match in one.matches}
+    return float(np.median([one.explanation.offset_s[i] for i in known] or [0.0]))
+
+
+def _differ(one: _Judged, other: _Judged) -> bool:
+    """Whether two explanations say something else of the vessels, the clock or the camera."""
+    mine = {(m.recording, m.vessel) for m in one.matches}
+    theirs = {(m.recording, m.vessel) for m in other.matches}
+    turn = np.degrees(one.explanation.vector[3] - other.explanation.vector[3])
+    if abs((turn + 180.0) % 360.0 - 180.0) > _SAME_HEADING_DEG:
+        return True
+    if len(mine & theirs) < 0.5 * len(mine | theirs):
+        return True
+    both = sorted({r for r, _ in mine} & {r for r, _ in theirs})
+    apart = np.abs(one.explanation.offset_s - other.explanation.offset_s)[both]
+    return bool(apart.size and np.median(apart) > _SAME_OFFSET_S)
+
+
+def _summary(
+    watches: tuple[Watch, ...],
+    image_size_px: tuple[int, int],
+    best: _Judged,
+    runner_up: float,
+) -> Association:
+    explanation = best.explanation
+    found = []
+    for match in best.matches:
+        watch = watches[match.recording]
+        others = [
+            one.rows
+            for one in best.matches
+            if one is not match and one.recording == match.recording
+        ]
+        taken = _taken(
+            watch,
+            explanation.standard[match.recording][match.vessel],
+            explanation.predicted_px[match.recording][match.vessel],
+            match,
+            np.concatenate([np.empty(0, dtype=np.int64), *others]),
+        )
+        times = watch.seen.boxes.time_utc_s[taken]
+        found.append(
+            Found(
+                recording=watch.name,
+                vessel=watch.paths[match.vessel].name,
+                gain=match.gain,
+                rows=match.rows,
+                taken=taken,
+                first_utc_s=float(times.min()),
+                last_utc_s=float(times.max()),
+            )
+        )
+    known = sorted({match.recording for match in best.matches})
+    sigma = np.sqrt(np.diag(explanation.covariance)[explanation.vector.size :])
+    vector = explanation.vector.copy()
+    lead = (
+        "none other was found"
+        if runner_up == -np.inf
+        else (f"the next best is {best.evidence - runner_up:.0f} nats less likely")
+    )
+    statements = [
+        (
+            f"Recognised without drawn boxes: {best.evidence:.0f} nats likelier than that no "
+            f"logged vessel is in view; {lead}."
+        )
+    ]
+    for one in found:
+        name = one.vessel or "the logged vessel"
+        statements.append(
+            f"Recording {one.recording}: {name} is {int(one.taken.sum())} of {one.taken.size} "
+            f"boxes, for {one.last_utc_s - one.first_utc_s:.0f} s."
+        )
+    return Association(
+        watches=watches,
+        camera=Camera.from_vector(vector, image_size_px),
+        found=tuple(found),
+        offset_s={watches[i].name: float(explanation.offset_s[i]) for i in known},
+        offset_sigma_s={watches[i].name: float(sigma[i]) for i in known},
+        evidence=float(best.evidence),
+        runner_up=runner_up,
+        statements=tuple(statements),
+    )
+
+
+def _taken(
+    watch: Watch, standard: FloatArray, predicted: FloatArray, match: Match, others: IntArray
+) -> BoolArray:
+    """(M,) which boxes are the vessel's: near its place, or of its tracks in gaps of the log."""
+    seen = watch.seen
+    near = standard < _GATE
+    near[others] = False
+    rows = np.zeros(len(seen), dtype=bool)
+    rows[match.rows] = True
+    if seen.followed:
+        size = int(seen.track.max()) + 1
+        own = np.bincount(seen.track[rows], minlength=size)
+        foretold = np.bincount(seen.track[np.isfinite(standard)], minlength=size)
+        mostly = (own > 0) & (own >= 0.5 * foretold)
+        # A track that only meets the vessel's is not it.
+        inside = np.bincount(seen.track[near], minlength=size) >= 0.5 * foretold
+        inside[np.unique(seen.track[others])] = False
+        for track in np.unique(seen.track[near & (inside & ~mostly)[seen.track]]):
+            part = np.flatnonzero((seen.track == track) & np.isfinite(predicted[:, 0]))
+            inside[track] = part.size < 3 or goes_along(seen, part, predicted)
+        near &= (inside | mostly)[seen.track]
+        # What was seen only for moments may be anything; it has to lie right there.
+        lasting = np.bincount(seen.track, minlength=size) >= _LASTING
+        near &= (standard < _NARROW_GATE) | (lasting | mostly)[seen.track]
+        anchors = np.sort(seen.time_utc_s[rows])
+        after = np.clip(np.searchsorted(anchors, seen.time_utc_s), 0, anchors.size - 1)
+        before = np.maximum(after - 1, 0)
+        away = np.minimum(
+            np.abs(anchors[after] - seen.time_utc_s), np.abs(anchors[before] - seen.time_utc_s)
+        )
+        near |= mostly[seen.track] & np.isinf(standard) & (away < _BRIDGE_S)
+    return np.asarray((near | rows)[seen.row_of_box])

@@ -1,0 +1,170 @@
+"""How much an explanation explains: whether what is seen are the logged vessels, or only things.
+
+An explanation competes with two others: that what it takes for a logged vessel is clutter, and that
+it is a vessel without a log, which goes wherever it likes. Against the second it wins by what the
+log foretells of the path in the image: where it begins, how fast it goes, how it bends. The path
+and what the log leaves of it are written as Legendre polynomials in time; each coefficient that
+the log makes smaller is worth the logarithm of by how much. A straight path has few coefficients,
+and a camera with its clock has as many parameters to fit them with, so that the cost of these
+(Occam's factor of Laplace's approximation) refuses a single straight pass, and lets pass two of
+them, or one that manoeuvres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from sightline.association.observations import Observations
+from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
+from sightline.association.search import Watch, clutter_per_px2
+from sightline.inference.camera_fit import CameraPrior
+from sightline.types import FloatArray, IntArray
+
+SURE = 0.5
+"""An observation is a vessel's where that is likelier than not."""
+
+LEAST_GAIN = 4.0
+"""A track is a vessel's where the log foretells so much of it, in nats."""
+
+_LEAST_SHARE = 0.5
+_BEND_S = 6.0
+_MOST_BENDS = 24
+_APART_S = 8.0
+_FLOOR_PX = np.array([4.0, 3.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """What is seen of a logged vessel in a recording.
+
+    Attributes:
+        recording: Index of the recording.
+        vessel: Index of the log in the recording.
+        rows: (K,) its observations, in the order of time.
+        gain: How much the log foretells of it, in nats; the choice of the vessel is paid.
+    """
+
+    recording: int
+    vessel: int
+    rows: IntArray
+    gain: float
+
+
+def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, int]) -> list[Match]:
+    """What an explanation takes for the vessels, the surest first in each recording."""
+    out: list[Match] = []
+    for index, watch in enumerate(watches):
+        if not len(watch.seen) or not watch.paths:
+            continue
+        share, predicted = found.share[index], found.predicted_px[index]
+        density = _density(watch.seen, size_px)
+        mine: list[Match] = []
+        for vessel in np.flatnonzero((share > SURE).sum(axis=1) >= 3).tolist():
+            rows = _rows(watch.seen, share[vessel], predicted[vessel])
+            if rows.size < 3:
+                continue
+            gain = _gain(watch.seen, rows, predicted[vessel], density, found)
+            gain -= float(np.log(len(watch.paths)))
+            if gain > LEAST_GAIN:
+                mine.append(Match(index, vessel, rows, gain))
+        out.extend(_apart(mine))
+    return out
+
+
+def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntArray:
+    """The observations of the vessel, in the order of time: of tracks that are mostly its own."""
+    mine = share > SURE
+    if seen.followed:
+        foretold = np.isfinite(predicted[:, 0])
+        count = np.bincount(seen.track[foretold], minlength=int(seen.track.max()) + 1)
+        own = np.bincount(seen.track[mine], minlength=count.size)
+        mine &= (own >= _LEAST_SHARE * count)[seen.track] & (own >= 2)[seen.track]
+    rows = np.flatnonzero(mine)
+    return np.asarray(rows[np.argsort(seen.time_utc_s[rows], kind="stable")])
+
+
+def _gain(
+    seen: Observations,
+    rows: IntArray,
+    predicted: FloatArray,
+    density: FloatArray,
+    found: Explanation,
+) -> float:
+    """How much better a log foretells a path than a vessel without a log would, in nats."""
+    apart = max(_APART_S, 4.0 * seen.interval_s)
+    cuts = np.flatnonzero(np.diff(seen.time_utc_s[rows]) > apart) + 1
+    noise = np.maximum([found.noise.column_px, found.noise.row_px], _FLOOR_PX)
+    total = 0.0
+    last: FloatArray | None = None
+    for part in np.split(rows, cuts):
+        whole = _coefficients(seen.time_utc_s[part], seen.foot_px[part])
+        rest = _coefficients(seen.time_utc_s[part], seen.foot_px[part] - predicted[part])
+        total += float(np.log((np.abs(whole[1:]) + noise) / (np.abs(rest[1:]) + noise)).sum())
+        if last is None:
+            typical = float(np.median(density[part]))
+            total -= float(np.log(2.0 * np.pi * typical * (np.abs(rest[0]) + noise).prod()))
+        else:
+            # What went out of sight comes back where it went: little to foretell.
+            total += float(
+                np.log((np.abs(whole[0] - last) + noise) / (np.abs(rest[0]) + noise)).sum()
+            )
+        last = whole[0]
+    return total
+
+
+def goes_along(seen: Observations, rows: IntArray, predicted: FloatArray) -> bool:
+    """Whether a track moves as a log foretells, rather than standing where it passes."""
+    rows = rows[np.argsort(seen.time_utc_s[rows], kind="stable")]
+    whole = _coefficients(seen.time_utc_s[rows], seen.foot_px[rows])[1:]
+    rest = _coefficients(seen.time_utc_s[rows], seen.foot_px[rows] - predicted[rows])[1:]
+    worth = np.log((np.abs(whole) + _FLOOR_PX) / (np.abs(rest) + _FLOOR_PX))
+    return bool(worth.sum() > 0.0)
+
+
+def _coefficients(time_s: FloatArray, path_px: FloatArray) -> FloatArray:
+    """(K, 2) of the Legendre polynomials of a path; each in pixels of root mean square."""
+    span = float(np.ptp(time_s))
+    degree = int(max(min(np.ceil(span / _BEND_S) + 1, len(time_s) // 3, _MOST_BENDS), 0))
+    where = 2.0 * (time_s - time_s[0]) / max(span, 1e-6) - 1.0
+    basis = legendre.legvander(where, degree)
+    scale = 1.0 / np.sqrt(2.0 * np.arange(degree + 1) + 1.0)
+    # A gap must not let high degrees swing.
+    basis = basis * (1.0 / scale)
+    rough = 1e-3 * len(time_s) * np.diag(np.arange(degree + 1.0) ** 2)
+    return np.asarray(np.linalg.solve(basis.T @ basis + rough, basis.T @ path_px))
+
+
+def _density(seen: Observations, size_px: tuple[int, int]) -> FloatArray:
+    """(N,) how likely a box lies where each does, a square pixel."""
+    clutter = clutter_per_px2(seen, size_px)
+    moments = max(1.0, np.ptp(seen.time_utc_s) / seen.interval_s)
+    return np.asarray(clutter * moments / (1.2 * len(seen)))
+
+
+def _apart(found: list[Match]) -> list[Match]:
+    """Matches of which no two have much in common; the surer one stays."""
+    kept: list[Match] = []
+    for match in sorted(found, key=lambda one: -one.gain):
+        if all(np.isin(match.rows, other.rows).mean() < 0.2 for other in kept):
+            kept.append(match)
+    return kept
+
+
+def cost(found: Explanation, largest_offset_s: float, image_size_px: tuple[int, int]) -> float:
+    """What the parameters of an explanation cost: how finely they had to be chosen, in nats."""
+    mean, sigma = CameraPrior(k1_sigma=0.2).moments(image_size_px, 0, 0, position_known=True)
+    camera = found.vector.size
+    offsets = found.offset_s.size
+    anywhere = 2.0 * max(largest_offset_s, 1e-3) / np.sqrt(12.0)
+    alike = anywhere if offsets == 1 else min(CLOCKS_ALIKE_S, anywhere)
+    sigma = np.concatenate([sigma[:camera], np.full(offsets, alike)])
+    sigma[3] = 2.0 * np.pi / np.sqrt(12.0)
+    off = (found.vector - mean[:camera]) / sigma[:camera]
+    off[3] = 0.0
+    narrowed = found.covariance / np.outer(sigma, sigma)
+    _, log_determinant = np.linalg.slogdet(narrowed)
+    return float(0.5 * np.sum(off**2) - 0.5 * min(log_determinant, 0.0) + np.log(anywhere / alike))

@@ -1,0 +1,114 @@
+"""Where logged vessels were at any time, for many vessels and many times at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sightline.geodesy import LocalPlane
+from sightline.synchronisation import LARGEST_GAP_S, distinct
+from sightline.types import Fixes, FloatArray
+
+LARGEST_REPORT_GAP_S = 150.0
+"""Reports that tell course and speed bridge a gap as long as this."""
+
+# What a vessel under way may do between two reports that it does not tell.
+_UNTOLD_MPS2 = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Whereabouts:
+    """Places of one vessel at given times.
+
+    Attributes:
+        east_north_m: (N, 2) float64, metres; NaN where the log does not tell.
+        velocity_mps: (N, 2) float64, east and north; NaN likewise.
+        sigma_m: (N,) float64, how far interpolation may be off, metres; 0 on a fix.
+    """
+
+    east_north_m: FloatArray
+    velocity_mps: FloatArray
+    sigma_m: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedPath:
+    """The log of one vessel as a path in the plane.
+
+    Between two fixes that tell course and speed the path is the cubic that has those velocities at
+    its ends (Hermite), otherwise a straight line.
+
+    Attributes:
+        name: Of the vessel.
+        time_utc_s: (K,) float64, strictly increasing.
+        east_north_m: (K, 2) float64, metres.
+        velocity_mps: (K, 2) float64, as reported; NaN where a fix tells none.
+    """
+
+    name: str
+    time_utc_s: FloatArray
+    east_north_m: FloatArray
+    velocity_mps: FloatArray
+
+    @classmethod
+    def of(
+        cls, fixes: Fixes, plane: LocalPlane, velocity_mps: FloatArray | None = None
+    ) -> LoggedPath:
+        """The path of a log.
+
+        Args:
+            fixes: The log.
+            plane: Of the path.
+            velocity_mps: (N, 2) over ground as the fixes reported it, NaN where they did not.
+        """
+        if velocity_mps is None or not np.isfinite(velocity_mps).any():
+            log = distinct(fixes)
+            place = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
+            return cls(fixes.name, log.time_utc_s, place, np.full((len(log), 2), np.nan))
+        place = np.stack(plane.to_plane(fixes.latitude_deg, fixes.longitude_deg), axis=1)
+        times, first = np.unique(fixes.time_utc_s, return_index=True)
+        return cls(fixes.name, times, place[first], np.asarray(velocity_mps, dtype=float)[first])
+
+    def at(self, time_utc_s: ArrayLike) -> Whereabouts:
+        """Where the vessel was.
+
+        Args:
+            time_utc_s: (N,) POSIX seconds.
+        """
+        times = np.asarray(time_utc_s, dtype=float)
+        n, k = times.size, len(self.time_utc_s)
+        place, velocity = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
+        sigma = np.full(n, np.nan)
+        if k < 2:
+            return Whereabouts(place, velocity, sigma)
+        right = np.clip(np.searchsorted(self.time_utc_s, times, side="left"), 1, k - 1)
+        left = right - 1
+        span = self.time_utc_s[right] - self.time_utc_s[left]
+        both = self.velocity_mps[left] + self.velocity_mps[right]
+        told = np.isfinite(both[:, 0]) & np.isfinite(both[:, 1])
+        inside = (times >= self.time_utc_s[0]) & (times <= self.time_utc_s[-1])
+        rows = np.flatnonzero(
+            inside & (span <= np.where(told, LARGEST_REPORT_GAP_S, LARGEST_GAP_S))
+        )
+        left, right, span = left[rows], right[rows], span[rows][:, None]
+        start, end = self.east_north_m[left], self.east_north_m[right]
+        chord = (end - start) / span
+        known = told[rows][:, None]
+        first = np.where(known, self.velocity_mps[left], chord) * span
+        last = np.where(known, self.velocity_mps[right], chord) * span
+        u = (times[rows][:, None] - self.time_utc_s[left][:, None]) / span
+        # The cubic of Hermite, and its derivative.
+        bend, twist = first - (end - start), (end - start) - last
+        place[rows] = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * bend + u * twist)
+        slope = (1.0 - 2.0 * u) * ((1.0 - u) * bend + u * twist) + u * (1.0 - u) * (twist - bend)
+        velocity[rows] = chord + slope / span
+        sigma[rows] = (_UNTOLD_MPS2 * span**2 * u * (1.0 - u))[:, 0]
+        return Whereabouts(place, velocity, sigma)
+
+
+def paths_of(fixes: Mapping[str, Fixes], plane: LocalPlane) -> tuple[LoggedPath, ...]:
+    """The paths of logs by name."""
+    return tuple(LoggedPath.of(log, plane) for log in fixes.values())

@@ -1,0 +1,385 @@
+"""A georeferencer from a scene in which nobody drew a box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
+from sightline.association.horizon import shore_landmarks
+from sightline.association.observations import observe
+from sightline.association.paths import LoggedPath
+from sightline.association.search import Watch
+from sightline.detection import Detector
+from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
+from sightline.errors import FitError, InputError, unknown_name
+from sightline.geodesy import LocalPlane
+from sightline.inference.camera import Camera
+from sightline.inference.camera_fit import CameraPrior
+from sightline.inference.georeferencer import (
+    DEFAULT_MODEL,
+    MODELS,
+    Georeferencer,
+    fit,
+    fit_pairs,
+)
+from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
+from sightline.inference.update import moved_since, prior_of
+from sightline.scene import Recording, Scene, check_overlap
+from sightline.types import Boxes, FloatArray, IntArray
+
+Progress = Callable[[str, float], None]
+
+APART_S = 1.5
+"""Boxes that teach are at least so far apart: a detector's errors last as long."""
+
+MOST_A_RECORDING = 120
+
+# Detectors see a hull, not where it meets the water: their boxes end too high by a few pixels, as
+# a rule. Where the edge of the water is seen, it tells how many; boxes alone tell next to nothing,
+# so that without it a closer guess has to stand in.
+_WITH_EDGE = CameraPrior(bias_px=-3.0, bias_px_sigma=5.0)
+_WITHOUT_EDGE = CameraPrior(bias_px=-4.0, bias_px_sigma=2.0)
+
+
+def fit_scene(
+    scene: Scene,
+    model: str = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    extra: Mapping[str, Boxes] | None = None,
+    detector: Callable[[], Detector] | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> Georeferencer:
+    """Learn a georeferencer from a scene, whether or not somebody drew boxes.
+
+    Where a recording has drawn boxes and a log, or there are only control points, this is
+    `sightline.inference.georeferencer.fit`. Otherwise the logged vessels are recognised among the
+    recordings' ``detections``, or among what a detector finds in their pictures.
+
+    Args:
+        scene: The scene.
+        model: One of `MODELS`.
+        seed: Of whatever is random in the fit.
+        extra: As for `fit`.
+        detector: Makes a detector, for recordings that have pictures but no boxes of any kind.
+        largest_offset_s: How far the clocks may be off.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: The model's name is not known, or a file of the scene cannot be used.
+        FitError: There is too little, or nobody can be recognised.
+    """
+    if model not in MODELS:
+        raise unknown_name("model", model, MODELS)
+    drawn = any(r.boxes_path and r.fixes_path for r in scene.recordings)
+    able = any(r.fixes_path and (r.detections_path or detector) for r in scene.recordings)
+    if drawn or not able:
+        return fit(scene, model, seed=seed, extra=extra)
+    association = associate_scene(
+        scene, detector=detector, largest_offset_s=largest_offset_s, progress=progress
+    )
+    return fit_association(scene, association, model, seed=seed)
+
+
+def associate_scene(
+    scene: Scene,
+    *,
+    detector: Callable[[], Detector] | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> Association:
+    """Recognise the logged vessels of a scene.
+
+    Args:
+        scene: Says where its camera stands.
+        detector: As for `fit_scene`.
+        largest_offset_s: As for `fit_scene`.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: A file cannot be used, or no log overlaps its recording.
+        FitError: Nobody can be recognised, or the scene does not say where its camera stands.
+    """
+    plane = scene.plane
+    if scene.moves:
+        raise FitError(
+            f"{scene.path}: its camera stands on a platform that moves, where nobody is recognised "
+            "without drawn boxes; give boxes"
+        )
+    if plane is None:
+        raise FitError(
+            f"{scene.path}: to recognise a logged vessel without drawn boxes, say where the camera "
+            "stands: [camera] latitude_deg and longitude_deg"
+        )
+    tell = progress or (lambda _what, _share: None)
+    watches: list[Watch] = []
+    apart: InputError | None = None
+    for recording in scene.recordings:
+        if recording.fixes_path is None:
+            continue
+        boxes = _seen(recording, detector, tell)
+        if boxes is None or not len(boxes):
+            continue
+        paths = _paths(recording, plane, boxes, largest_offset_s)
+        if not paths:
+            if len(recording.logs()) == 1:
+                try:
+                    check_overlap(
+                        boxes.time_utc_s, recording.fixes(), f"recording {recording.name}"
+                    )
+                except InputError as error:
+                    apart = apart or error
+            continue
+        watches.append(Watch(recording.name, observe(boxes), paths))
+    if not watches:
+        if apart is not None:
+            raise apart
+        raise FitError(
+            f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
+            "was; nobody can be recognised"
+        )
+    tell("recognising the logged vessels", float("nan"))
+    try:
+        return associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s)
+    except FitError as error:
+        raise FitError(f"{scene.path}: {error}") from error
+
+
+def fit_association(
+    scene: Scene, association: Association, model: str = DEFAULT_MODEL, *, seed: int = 0
+) -> Georeferencer:
+    """Learn a georeferencer from what was recognised.
+
+    Args:
+        scene: The scene.
+        association: Of the scene.
+        model: One of `MODELS`.
+        seed: Of whatever is random in the fit.
+
+    Raises:
+        FitError: There are too few boxes.
+    """
+    plane = scene.plane
+    assert plane is not None, "association needs the camera's place"
+    landmarks = scene_landmarks(scene, association)
+    fitted = fit_pairs(
+        recognised_pairs(association, plane),
+        scene,
+        model,
+        position_known=True,
+        image_size_px=scene.image_size_px,
+        seed=seed,
+        prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
+        landmarks=landmarks,
+    )
+    more = list(association.statements)
+    if len(landmarks):
+        more.append("The edge of the water in the pictures tells where the horizon is.")
+    else:
+        more.append(
+            "No edge of the water was seen: how far the detector's boxes end above the water is "
+            "assumed, and ranges depend on it."
+        )
+    clocks = {
+        name: association.offset_s[name] + fitted.report.clock_offset_s.get(name, 0.0)
+        for name in association.offset_s
+    }
+    for name, offset in clocks.items():
+        if abs(offset) > 1.0:
+            more.append(
+                f"The clock of recording {name} is {abs(offset):.1f} s "
+                f"{'behind' if offset > 0 else 'ahead of'} the log."
+            )
+    report = replace(
+        fitted.report,
+        asked=sum(len(watch.seen.boxes) for watch in association.watches),
+        clock_offset_s=clocks,
+        statements=(*more, *fitted.report.statements),
+    )
+    return replace(fitted, report=report)
+
+
+def update_scene(
+    scene: Scene,
+    old: Georeferencer,
+    *,
+    seed: int = 0,
+    detector: Callable[[], Detector] | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> Georeferencer:
+    """Improve a model with a new day, and say whether its camera was turned since.
+
+    What the old model knew of height, focal length, pitch and roll is believed, twice as unsure as
+    it said; pitch and roll are learned anew where the camera was turned.
+
+    Args:
+        scene: The new day, of the same camera.
+        old: The model.
+        seed: Of whatever is random in the fit.
+        detector: As for `fit_scene`.
+        largest_offset_s: As for `fit_scene`.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: The old model has no camera or is for pictures of another size, or a file of
+            the scene cannot be used.
+        FitError: There is too little, or nobody can be recognised.
+    """
+    if old.camera is None:
+        raise InputError(f"model {old.model!r} has no camera, so it cannot be updated; fit anew")
+    if scene.image_size_px != old.image_size_px:
+        raise InputError(
+            f"{scene.path}: its pictures have {scene.image_size_px} px, the model learned from "
+            f"{old.image_size_px} px; fit anew"
+        )
+    landmarks = Landmarks.none()
+    more: tuple[str, ...] = ()
+    if any(r.boxes_path and r.fixes_path for r in scene.recordings):
+        pairs = scene_pairs(scene, old.plane)
+        usual = CameraPrior()
+    else:
+        moved_scene = replace(
+            scene,
+            camera=replace(
+                scene.camera,
+                latitude_deg=old.plane.latitude_deg,
+                longitude_deg=old.plane.longitude_deg,
+            ),
+        )
+        association = associate_scene(
+            moved_scene, detector=detector, largest_offset_s=largest_offset_s, progress=progress
+        )
+        pairs = recognised_pairs(association, old.plane)
+        landmarks = scene_landmarks(scene, association)
+        usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
+        more = association.statements
+    turns = moved_since(old, pairs)
+    prior = replace(
+        prior_of(old, turned=bool(turns)),
+        bias_px=usual.bias_px,
+        bias_px_sigma=usual.bias_px_sigma,
+    )
+    fitted = fit_pairs(
+        pairs,
+        scene,
+        old.model,
+        position_known=True,
+        image_size_px=old.image_size_px,
+        seed=seed,
+        prior=prior,
+        landmarks=landmarks,
+    )
+    said = [
+        f"The camera was turned: from recording {turn.recording} on by {turn.heading_deg:+.2f} "
+        f"degrees in heading, {turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll "
+        f"against the old model ({turn.gain:.0f} nats)."
+        for turn in turns
+    ] or ["The camera stands as it did when the old model was fitted, as far as the boxes tell."]
+    statements = (*said, *more, *fitted.report.statements)
+    return replace(fitted, report=replace(fitted.report, statements=statements))
+
+
+def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
+    """Boxes that were recognised, thinned, with the places of their vessels."""
+    boxes, names, places, velocities = [], [], [], []
+    by_name = {watch.name: watch for watch in association.watches}
+    for found in association.found:
+        watch = by_name[found.recording]
+        path = next(path for path in watch.paths if path.name == found.vessel)
+        rows = _thinned(watch.seen.time_utc_s[found.rows])
+        chosen = found.rows[rows]
+        at = path.at(watch.seen.time_utc_s[chosen] + association.offset_s[found.recording])
+        known = np.isfinite(at.east_north_m).all(axis=1)
+        boxes.append(watch.seen.boxes[watch.seen.box[chosen[known]]])
+        names.append(np.full(int(known.sum()), found.recording))
+        places.append(at.east_north_m[known])
+        velocities.append(at.velocity_mps[known])
+    return Pairs(
+        boxes=Boxes.concatenate(boxes),
+        recording=np.concatenate(names),
+        east_north_m=np.concatenate(places),
+        velocity_mps=np.concatenate(velocities),
+        asked=sum(map(len, boxes)),
+        plane=plane,
+    )
+
+
+def scene_landmarks(scene: Scene, association: Association) -> Landmarks:
+    """What the edge of the water in the recordings' pictures tells; none where it is not seen."""
+    width = scene.image_size_px[0]
+    parts: list[Landmarks] = []
+    afloat = [path.east_north_m for watch in association.watches for path in watch.paths]
+    for name in association.offset_s:
+        recording = scene[name]
+        if recording.source is None:
+            continue
+        edge = _edge(recording, association.camera, width)
+        if edge is not None:
+            parts.append(shore_landmarks(edge, association.camera, afloat))
+    if not parts:
+        return Landmarks.none()
+    return Landmarks(
+        np.concatenate([part.pixel_px for part in parts]),
+        np.concatenate([part.east_north_m for part in parts]),
+        np.concatenate([part.sigma_m for part in parts]),
+    )
+
+
+def _edge(recording: Recording, camera: Camera, width: int) -> WaterEdge | None:
+    images = (
+        frame.image_bgr
+        for i, frame in enumerate(recording.frames())
+        if recording.frames_path or i % 25 == 0
+    )
+    still = still_picture(images)
+    if still.shape[1] != width:
+        return None
+    return find_water_edge(still, camera.horizon_y_px(np.arange(float(width))))
+
+
+def _seen(
+    recording: Recording, detector: Callable[[], Detector] | None, tell: Progress
+) -> Boxes | None:
+    """The boxes of anything in a recording, None where nothing tells them."""
+    if recording.detections_path is not None:
+        return recording.detections()
+    if detector is None or recording.source is None:
+        return None
+    finder = detector()
+    found = []
+    for frame in recording.frames():
+        tell(f"detecting in {recording.name}", float("nan"))
+        found.append(finder.detect(frame))
+    boxes = Boxes.concatenate(found)
+    return boxes[np.isfinite(boxes.time_utc_s)]
+
+
+def _paths(
+    recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float
+) -> tuple[LoggedPath, ...]:
+    """The logs that tell anything of the time of a recording."""
+    first = boxes.time_utc_s.min() - largest_offset_s
+    last = boxes.time_utc_s.max() + largest_offset_s
+    out = []
+    for log in recording.logs():
+        times = log.fixes.time_utc_s
+        if np.sum((times >= first) & (times <= last)) >= 2:
+            out.append(LoggedPath.of(log.fixes, plane, log.velocity_mps))
+    return tuple(out)
+
+
+def _thinned(time_s: FloatArray) -> IntArray:
+    """Indices of times in order that are far enough apart, and not too many."""
+    apart = max(APART_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
+    out: list[int] = []
+    last = -np.inf
+    for i, time in enumerate(time_s):
+        if time - last >= apart:
+            out.append(i)
+            last = time
+    return np.array(out, dtype=np.int64)

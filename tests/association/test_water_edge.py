@@ -1,0 +1,86 @@
+"""The edge of the water, in pictures whose edge is known."""
+
+import numpy as np
+
+from sightline.association.horizon import shore_landmarks
+from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
+from sightline.inference.camera import Camera
+
+CAMERA = Camera(
+    height_m=4.0,
+    pitch_deg=-2.0,
+    roll_deg=0.6,
+    heading_deg=75.0,
+    focal_px=950.0,
+    k1=-0.2,
+    k2=0.03,
+    east_m=0.0,
+    north_m=0.0,
+    image_size_px=(1280, 720),
+)
+
+
+def picture(edge_row, rng, waves=6.0):
+    """Land with texture above the edge, waves below it, anew in each picture."""
+    rows = np.arange(720)[:, None]
+    land = np.random.default_rng(5).normal(150.0, 25.0, (720, 1280))
+    sea = 110.0 + rng.normal(0.0, waves, (720, 1280))
+    grey = np.where(rows < edge_row[None, :], land, sea)
+    grey[rows[:, 0] < 300] = 200.0
+    return np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
+
+
+def test_the_edge_is_found_within_pixels_though_it_lies_lower_and_tilted():
+    rng = np.random.default_rng(0)
+    expected = CAMERA.horizon_y_px(np.arange(1280.0))
+    truth = expected + 12.0 + 6.0 * (np.arange(1280) / 1280 - 0.5)
+    edge = find_water_edge(still_picture(picture(truth, rng) for _ in range(15)), expected)
+    assert edge is not None
+    off = edge.row_px - np.interp(edge.column_px, np.arange(1280.0), truth)
+    assert np.abs(np.median(off)) < 2.0
+    assert np.percentile(np.abs(off), 90) < 4.0
+
+
+def test_boats_before_the_shore_do_not_move_it():
+    rng = np.random.default_rng(1)
+    expected = CAMERA.horizon_y_px(np.arange(1280.0))
+
+    def with_boats():
+        image = picture(expected + 8.0, rng)
+        for left in (100, 500, 900):
+            image[400:470, left : left + 90] = 255
+        return image
+
+    edge = find_water_edge(still_picture(with_boats() for _ in range(15)), expected)
+    assert edge is not None
+    off = edge.row_px - np.interp(edge.column_px, np.arange(1280.0), expected + 8.0)
+    assert np.abs(np.median(off)) < 2.0
+
+
+def test_without_water_there_is_no_edge():
+    rng = np.random.default_rng(2)
+    expected = CAMERA.horizon_y_px(np.arange(1280.0))
+    flat = (np.full((720, 1280, 3), 120.0) + rng.normal(0, 4, (720, 1280, 3)) for _ in range(9))
+    assert find_water_edge(still_picture(i.astype(np.uint8) for i in flat), expected) is None
+
+
+def test_landmarks_lie_where_the_camera_sees_the_shore_within_what_they_state():
+    bearing = np.radians(75.0 + np.linspace(-30.0, 30.0, 61))
+    shore = 2500.0 * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+    pixel = CAMERA.project(shore[:, 0], shore[:, 1])
+    inside = np.isfinite(pixel[:, 0]) & (pixel[:, 0] > 0) & (pixel[:, 0] < 1280)
+    edge = WaterEdge(pixel[inside, 0], pixel[inside, 1], 1.0)
+    afloat = 1500.0 * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+    marks = shore_landmarks(edge, CAMERA, [afloat])
+    assert len(marks) >= 3
+    again = CAMERA.project(marks.east_north_m[:, 0], marks.east_north_m[:, 1])
+    # Half a pixel: the row of what lies anywhere beyond 1500 m, before a camera of 4 m.
+    half_a_row = 950.0 * 4.0 / 1500.0 / 2.0
+    assert np.abs(again[:, 1] - marks.pixel_px[:, 1]).max() < half_a_row
+    assert np.abs(again[:, 0] - marks.pixel_px[:, 0]).max() < 30.0
+    assert (marks.sigma_m > 1000.0).all()
+
+
+def test_a_shore_that_may_be_near_tells_nothing():
+    edge = WaterEdge(np.linspace(10, 1270, 50), np.full(50, 420.0), 1.0)
+    assert len(shore_landmarks(edge, CAMERA, [np.array([[60.0, 20.0]])])) == 0
