@@ -38,6 +38,7 @@ from sightline.detection import (
     DetectorOptions,
     OnnxDetector,
     ViewSettings,
+    detect,
     detector_by_name,
 )
 from sightline.detection.onnx import DEFAULT_THRESHOLD
@@ -48,7 +49,6 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
-from sightline.pipeline.boxes import detect
 from sightline.scene import Scene
 from sightline.simulation import Harbour, Renderer
 from sightline.types import Frame

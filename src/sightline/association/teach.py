@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from sightline.association.horizon import shore_landmarks
 from sightline.association.observations import observe
 from sightline.association.paths import LoggedPath
 from sightline.association.search import Watch
-from sightline.detection import Detector
+from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
 from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.geodesy import LocalPlane
@@ -29,8 +29,6 @@ from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
 from sightline.inference.update import moved_since, prior_of
 from sightline.scene import Recording, Scene, check_overlap
 from sightline.types import Boxes, FloatArray, IntArray
-
-Progress = Callable[[str, float], None]
 
 APART_S = 1.5
 """Boxes that teach are at least so far apart: a detector's errors last as long."""
@@ -50,7 +48,8 @@ def fit_scene(
     *,
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
-    detector: Callable[[], Detector] | None = None,
+    detector: str | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Georeferencer:
@@ -65,7 +64,9 @@ def fit_scene(
         model: One of `MODELS`.
         seed: Of whatever is random in the fit.
         extra: As for `fit`.
-        detector: Makes a detector, for recordings that have pictures but no boxes of any kind.
+        detector: Name of the detector for recordings that have pictures but no boxes of any kind;
+            None: these are left out.
+        seen: What it found there, for who has looked already.
         largest_offset_s: How far the clocks may be off.
         progress: Told what is being done.
 
@@ -76,11 +77,18 @@ def fit_scene(
     if model not in MODELS:
         raise unknown_name("model", model, MODELS)
     drawn = any(r.boxes_path and r.fixes_path for r in scene.recordings)
-    able = any(r.fixes_path and (r.detections_path or detector) for r in scene.recordings)
+    looks = seen is not None or detector is not None
+    able = any(
+        r.fixes_path and (r.detections_path or (looks and r.source)) for r in scene.recordings
+    )
     if drawn or not able:
         return fit(scene, model, seed=seed, extra=extra)
     association = associate_scene(
-        scene, detector=detector, largest_offset_s=largest_offset_s, progress=progress
+        scene,
+        detector=detector,
+        seen=seen,
+        largest_offset_s=largest_offset_s,
+        progress=progress,
     )
     return fit_association(scene, association, model, seed=seed)
 
@@ -88,7 +96,8 @@ def fit_scene(
 def associate_scene(
     scene: Scene,
     *,
-    detector: Callable[[], Detector] | None = None,
+    detector: str | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Association:
@@ -97,6 +106,7 @@ def associate_scene(
     Args:
         scene: Says where its camera stands.
         detector: As for `fit_scene`.
+        seen: As for `fit_scene`.
         largest_offset_s: As for `fit_scene`.
         progress: Told what is being done.
 
@@ -116,12 +126,14 @@ def associate_scene(
             "stands: [camera] latitude_deg and longitude_deg"
         )
     tell = progress or (lambda _what, _share: None)
+    if seen is None and detector is not None:
+        seen = SceneDetections(scene, detector, progress)
     watches: list[Watch] = []
     apart: InputError | None = None
     for recording in scene.recordings:
         if recording.fixes_path is None:
             continue
-        boxes = _seen(recording, detector, tell)
+        boxes = _boxes_of_anything(recording, seen)
         if boxes is None or not len(boxes):
             continue
         paths = _paths(recording, plane, boxes, largest_offset_s)
@@ -208,7 +220,8 @@ def update_scene(
     old: Georeferencer,
     *,
     seed: int = 0,
-    detector: Callable[[], Detector] | None = None,
+    detector: str | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Georeferencer:
@@ -222,6 +235,7 @@ def update_scene(
         old: The model.
         seed: Of whatever is random in the fit.
         detector: As for `fit_scene`.
+        seen: As for `fit_scene`.
         largest_offset_s: As for `fit_scene`.
         progress: Told what is being done.
 
@@ -252,7 +266,11 @@ def update_scene(
             ),
         )
         association = associate_scene(
-            moved_scene, detector=detector, largest_offset_s=largest_offset_s, progress=progress
+            moved_scene,
+            detector=detector,
+            seen=seen,
+            largest_offset_s=largest_offset_s,
+            progress=progress,
         )
         pairs = recognised_pairs(association, old.plane)
         landmarks = scene_landmarks(scene, association)
@@ -342,21 +360,13 @@ def _edge(recording: Recording, camera: Camera, width: int) -> WaterEdge | None:
     return find_water_edge(still, camera.horizon_y_px(np.arange(float(width))))
 
 
-def _seen(
-    recording: Recording, detector: Callable[[], Detector] | None, tell: Progress
-) -> Boxes | None:
+def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Boxes | None:
     """The boxes of anything in a recording, None where nothing tells them."""
     if recording.detections_path is not None:
         return recording.detections()
-    if detector is None or recording.source is None:
+    if seen is None or recording.source is None:
         return None
-    finder = detector()
-    found = []
-    for frame in recording.frames():
-        tell(f"detecting in {recording.name}", float("nan"))
-        found.append(finder.detect(frame))
-    boxes = Boxes.concatenate(found)
-    return boxes[np.isfinite(boxes.time_utc_s)]
+    return seen.boxes(recording)
 
 
 def _paths(

@@ -17,13 +17,14 @@ from sightline.cli.common import (
     say,
     write_result,
 )
-from sightline.detection import DEFAULT_DETECTOR, VIEWS, DetectorOptions, ViewSettings
+from sightline.detection import DEFAULT_DETECTOR, VIEWS, DetectorOptions, ViewSettings, frame_count
+from sightline.detection import detect as detected
 from sightline.detection.decoders import DECODERS
+from sightline.detection.looking import same_size
 from sightline.detection.onnx import PROVIDERS
 from sightline.errors import InputError, unknown_name
 from sightline.inference.model_file import load_model
-from sightline.pipeline.boxes import detect as detected
-from sightline.pipeline.boxes import frame_count, is_table, make_detector, same_size
+from sightline.pipeline.boxes import is_table, make_detector
 
 DecoderOption = Annotated[
     str | None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +10,7 @@ import typer
 from sightline.association import fit_scene, update_scene
 from sightline.association.associate import LARGEST_OFFSET_S
 from sightline.cli.common import (
+    DetectorOption,
     JsonOption,
     ModelNameOption,
     SeedOption,
@@ -19,7 +19,7 @@ from sightline.cli.common import (
     say,
     write_result,
 )
-from sightline.detection import detector_by_name
+from sightline.detection import DEFAULT_DETECTOR
 from sightline.inference.georeferencer import DEFAULT_MODEL
 from sightline.inference.model_file import load_model
 from sightline.scene import Scene
@@ -35,13 +35,7 @@ def fit(
     ],
     model: ModelNameOption = DEFAULT_MODEL,
     seed: SeedOption = 0,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            "--detector",
-            help="Finds boxes in the pictures where nobody drew any and no detections are given.",
-        ),
-    ] = None,
+    detector: DetectorOption = DEFAULT_DETECTOR,
     largest_offset_s: Annotated[
         float,
         typer.Option(
@@ -65,13 +59,10 @@ def fit(
 ) -> None:
     """Learn where a box in the image lies on the earth.
 
-    Without drawn boxes, the logged vessels are recognised among the recordings' detections.
+    Without drawn boxes, the logged vessels are recognised among the recordings' detections, or
+    among what the detector finds in their pictures.
     """
     keep_apart([output, json], [scene, update])
-    make = None
-    if detector is not None:
-        detector_by_name(detector)
-        make = partial(detector_by_name, detector)
     with progress() as tell:
         tell(f"fitting {model}", float("nan"))
         loaded = Scene.load(scene)
@@ -82,7 +73,7 @@ def fit(
                 loaded,
                 old,
                 seed=seed,
-                detector=make,
+                detector=detector,
                 largest_offset_s=largest_offset_s,
                 progress=tell,
             )
@@ -91,7 +82,7 @@ def fit(
                 loaded,
                 model,
                 seed=seed,
-                detector=make,
+                detector=detector,
                 largest_offset_s=largest_offset_s,
                 progress=tell,
             )

@@ -1,17 +1,11 @@
 """Stage 1: frames in, boxes out."""
 
-from importlib.resources import as_file, files
-
+from sightline.detection.by_name import DEFAULT_DETECTOR, DETECTORS, detector_by_name
 from sightline.detection.detector import Detector
+from sightline.detection.looking import Progress, SceneDetections, detect, frame_count
 from sightline.detection.motion import MotionDetector, MotionSettings
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.detection.views import VIEWS, View, ViewSettings
-from sightline.errors import InputError, unknown_name
-
-DETECTORS = ("motion", "harbour")
-"""The detectors that need nothing but a name."""
-
-DEFAULT_DETECTOR = "harbour"
 
 __all__ = [
     "DEFAULT_DETECTOR",
@@ -22,51 +16,11 @@ __all__ = [
     "MotionDetector",
     "MotionSettings",
     "OnnxDetector",
+    "Progress",
+    "SceneDetections",
     "View",
     "ViewSettings",
+    "detect",
     "detector_by_name",
+    "frame_count",
 ]
-
-
-def detector_by_name(
-    name: str,
-    *,
-    horizon_px: tuple[float, float] | None = None,
-    options: DetectorOptions | None = None,
-) -> Detector:
-    """A new detector.
-
-    Args:
-        name: One of `DETECTORS`, or the path of an ONNX file.
-        horizon_px: Rows of the horizon at the left and the right edge of the image, where known.
-        options: How a detector in an ONNX file is run.
-
-    Raises:
-        InputError: The name is none of them, the file cannot be used, or options are given to a
-            detector that has none.
-    """
-    if name.lower().endswith(".onnx"):
-        return OnnxDetector(name, options=options, horizon_px=horizon_px)
-    if name == "motion":
-        if options is not None and options != DetectorOptions():
-            raise InputError(
-                "the detector 'motion' finds what moves and runs no network, so it has no "
-                "decoder, classes, threshold or provider; leave them out, or give an ONNX file"
-            )
-        return MotionDetector(horizon_px=horizon_px)
-    if name == "harbour":
-        return _harbour(horizon_px, options)
-    raise unknown_name("detector", name, (*DETECTORS, "a file that ends in .onnx"))
-
-
-def _harbour(
-    horizon_px: tuple[float, float] | None, options: DetectorOptions | None
-) -> OnnxDetector:
-    packaged = files("sightline.detection") / "harbour" / "harbour.onnx"
-    if not packaged.is_file():
-        raise InputError(
-            "the detector 'harbour' is not in this installation (sightline/detection/harbour/"
-            "harbour.onnx is missing); install sightline anew, or give an ONNX file"
-        )
-    with as_file(packaged) as path:
-        return OnnxDetector(path, name="harbour", options=options, horizon_px=horizon_px)

@@ -1,6 +1,6 @@
 """The stages in a row: from a source to boxes, to tracks, to a score, and a whole scene at once."""
 
-from sightline.pipeline.boxes import Progress, detect
+from sightline.detection import Progress, detect
 from sightline.pipeline.scoring import (
     Placed,
     compare,

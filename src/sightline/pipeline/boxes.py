@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from sightline import formats, video
+from sightline import formats
 from sightline.clock import Clock
 from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, detector_by_name
+from sightline.detection.looking import usable
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
 from sightline.scene import check_inside
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame
-
-Progress = Callable[[str, float], None]
-"""Told what is being done and what share of it is done, 0 to 1; NaN where nobody knows."""
 
 _TABLE_SUFFIXES = (".csv", ".txt")
 _CHUNK_ROWS = 20_000
@@ -27,26 +25,6 @@ LOOKED_AT = 5
 _SELDOM_S = 1.0
 # On the earth a vessel's way can be foretold for longer.
 _SELDOM_ON_EARTH_S = 6.0
-
-
-def detect(
-    frames: Iterable[Frame],
-    detector: Detector,
-    count: int | None = None,
-    progress: Progress | None = None,
-) -> Iterator[Boxes]:
-    """The boxes of each frame, as the detector finds them.
-
-    Args:
-        frames: In the order of time.
-        detector: Finds boxes.
-        count: How many frames there are, where that is known.
-        progress: Told how far it is.
-    """
-    for i, frame in enumerate(frames):
-        if progress:
-            progress("detecting", (i + 1) / count if count else float("nan"))
-        yield detector.detect(frame)
 
 
 def is_table(source: str | os.PathLike[str]) -> bool:
@@ -127,49 +105,8 @@ def make_detector(
     return detector_by_name(detector or DEFAULT_DETECTOR, horizon_px=horizon, options=options)
 
 
-def frame_count(source: str | os.PathLike[str]) -> int | None:
-    """How many frames a source has; None for a stream."""
-    path = Path(source)
-    if path.is_dir():
-        return sum(1 for _ in path.iterdir())
-    if "://" in str(source) or not path.is_file():
-        return None
-    return len(video.video_info(path).presentation_s)
-
-
 class SeldomError(InputError):
     """Pictures or boxes between which a target cannot be followed."""
-
-
-def same_size(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
-    """Pass pictures on, and refuse those of another size than those that the model learned from.
-
-    Raises:
-        InputError: A picture has another size.
-    """
-    for frame in frames:
-        own_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
-        if own_px != size_px:
-            raise InputError(
-                f"{where}: its pictures have {own_px[0]} x {own_px[1]} px, the model learned "
-                f"from {size_px[0]} x {size_px[1]} px; fit one to pictures of this size"
-            )
-        yield frame
-
-
-def usable(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
-    """Pass pictures on, and refuse those that no target can be found and placed in.
-
-    Raises:
-        InputError: A picture has no time, or another size than those that the model learned from.
-    """
-    for frame in same_size(frames, size_px, where):
-        if not np.isfinite(frame.time_utc_s):
-            raise InputError(
-                f"{where}: nothing tells the time of frame {frame.index}; give the start of the "
-                "video (--start-utc), or a clock (--clock)"
-            )
-        yield frame
 
 
 def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:

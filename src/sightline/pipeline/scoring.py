@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sightline import formats
+from sightline.detection import Progress
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.forecast import forecast_errors
@@ -18,7 +19,6 @@ from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferenc
 from sightline.inference.levelling import scene_horizons
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
-from sightline.pipeline.boxes import Progress
 from sightline.pipeline.tracking import (
     DEFAULT_TRAJECTORY,
     TrackSettings,

@@ -11,16 +11,13 @@ import numpy as np
 
 from sightline import formats, video
 from sightline.clock import Clock
-from sightline.detection import Detector
+from sightline.detection import Detector, Progress, detect, frame_count
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.levelling import HorizonWatch
 from sightline.pipeline.boxes import (
-    Progress,
-    detect,
     fit_for_use,
     follows_on_earth,
-    frame_count,
     in_hand,
     is_table,
     make_detector,

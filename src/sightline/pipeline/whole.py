@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from sightline.detection import DEFAULT_DETECTOR
+from sightline.association.teach import fit_scene
+from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
 from sightline.errors import FitError
 from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
-from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer, fit
+from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer
 from sightline.inference.levelling import scene_horizons
 from sightline.pipeline.boxes import (
     LOOKED_AT,
-    Progress,
     SeldomError,
-    detect,
-    frame_count,
     in_hand,
-    make_detector,
     refuse_seldom,
     timed,
-    usable,
 )
 from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
 from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
@@ -31,7 +27,7 @@ from sightline.scene import Recording, Scene
 from sightline.tracking import iou
 from sightline.tracks import Tracks
 from sightline.trajectory import method
-from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, Track
+from sightline.types import NO_TRACK, Boxes, Track
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +83,17 @@ def run(
     """
     settings = settings or TrackSettings()
     tell = progress or (lambda _what, _share: None)
-    seen = _Seen(scene, detector, tell)
+    seen = SceneDetections(scene, detector, tell)
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
     tell("fitting", float("nan"))
-    fitted = fit(scene, model, seed=seed, extra=extra)
+    fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
     notes: list[str] = []
     models: dict[str, Georeferencer] = {}
     try:
-        models = leave_one_out(scene, model, seed=seed, extra=extra)
+        if _drawn(scene):
+            models = leave_one_out(scene, model, seed=seed, extra=extra)
+        else:
+            models = _leave_one_out_undrawn(scene, model, seed, seen, tell)
     except FitError:
         notes.append(
             "The figures are of the recordings that the model learned from: there is too little "
@@ -120,7 +119,7 @@ def run(
         if pairs is not None:
             scored[recording.name] = pairs
     placed: list[Placed] = []
-    if any(r.boxes_path and r.fixes_path for r in scene.recordings):
+    if _drawn(scene):
         placed = place_boxes(scene, lambda name: models.get(name, fitted))
     single = score(placed) if any(len(one.single()) for one in placed) else None
     smoothed = None
@@ -142,59 +141,39 @@ def run(
     )
 
 
+def _drawn(scene: Scene) -> bool:
+    """Whether somebody drew boxes of a logged target."""
+    return any(r.boxes_path and r.fixes_path for r in scene.recordings)
+
+
+def _leave_one_out_undrawn(
+    scene: Scene, model: str, seed: int, seen: SceneDetections, tell: Progress
+) -> dict[str, Georeferencer]:
+    """For each recording with a log a model that never saw it, without drawn boxes.
+
+    Raises:
+        FitError: Nothing can be learned without any of them.
+    """
+    models: dict[str, Georeferencer] = {}
+    failed: FitError | None = None
+    logged = [recording.name for recording in scene.recordings if recording.fixes_path is not None]
+    for i, name in enumerate(logged):
+        tell(f"fitting without {name}", i / len(logged))
+        try:
+            models[name] = fit_scene(scene.without([name]), model, seed=seed, seen=seen)
+        except FitError as error:
+            failed = error
+    if not models and failed is not None:
+        raise failed
+    return models
+
+
 def _unseen(recording: Recording) -> bool:
     """Whether a detector has to find the boxes of a recording."""
     return recording.boxes_path is None and recording.detections_path is None
 
 
-class _Seen:
-    """What a detector finds in the pictures of a scene, each recording looked at once."""
-
-    def __init__(self, scene: Scene, detector: str, tell: Progress) -> None:
-        """Take the detector's name.
-
-        Raises:
-            InputError: It is not known.
-        """
-        # Unknown names are told before the work begins.
-        make_detector(detector, None)
-        self._size_px = scene.image_size_px
-        self._detector = detector
-        self._tell = tell
-        self._found: dict[str, tuple[Boxes, FloatArray]] = {}
-
-    def boxes(self, recording: Recording) -> Boxes:
-        """The boxes in a recording's pictures, with their times."""
-        return self._look(recording)[0]
-
-    def times_utc_s(self, recording: Recording) -> FloatArray:
-        """(N,) the times of its pictures."""
-        return self._look(recording)[1]
-
-    def _look(self, recording: Recording) -> tuple[Boxes, FloatArray]:
-        if recording.name not in self._found:
-            assert recording.source is not None, "a recording has boxes, detections or pictures"
-            times: list[float] = []
-
-            def noted(frames: Iterable[Frame]) -> Iterator[Frame]:
-                for frame in frames:
-                    times.append(frame.time_utc_s)
-                    yield frame
-
-            frames = usable(recording.frames(), self._size_px, f"recording {recording.name}")
-            found = list(
-                detect(
-                    noted(frames),
-                    make_detector(self._detector, None),
-                    frame_count(recording.source),
-                    lambda _what, share: self._tell(f"detecting in {recording.name}", share),
-                )
-            )
-            self._found[recording.name] = Boxes.concatenate(found), np.array(times)
-        return self._found[recording.name]
-
-
-def _taught(scene: Scene, seen: _Seen) -> dict[str, Boxes]:
+def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
     """What a detector makes of the target where somebody has drawn its boxes.
 
     Every source of boxes has its own habit at the lower edge. Where the same target was drawn and
@@ -225,7 +204,7 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
 
 
 def _tracks(
-    recording: Recording, model: Georeferencer, seen: _Seen, settings: TrackSettings
+    recording: Recording, model: Georeferencer, seen: SceneDetections, settings: TrackSettings
 ) -> list[Track]:
     """The tracks of a recording: of the target that somebody drew, or of whatever is seen."""
     smoother = method(settings.trajectory)

@@ -1,0 +1,140 @@
+"""A detector at work on the frames of a source, or of all recordings of a scene."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from sightline import video
+from sightline.detection.by_name import DEFAULT_DETECTOR, detector_by_name
+from sightline.detection.detector import Detector
+from sightline.errors import InputError
+from sightline.scene import Recording, Scene
+from sightline.types import Boxes, FloatArray, Frame
+
+Progress = Callable[[str, float], None]
+"""Told what is being done and what share of it is done, 0 to 1; NaN where nobody knows."""
+
+
+def detect(
+    frames: Iterable[Frame],
+    detector: Detector,
+    count: int | None = None,
+    progress: Progress | None = None,
+) -> Iterator[Boxes]:
+    """The boxes of each frame, as the detector finds them.
+
+    Args:
+        frames: In the order of time.
+        detector: Finds boxes.
+        count: How many frames there are, where that is known.
+        progress: Told how far it is.
+    """
+    for i, frame in enumerate(frames):
+        if progress:
+            progress("detecting", (i + 1) / count if count else float("nan"))
+        yield detector.detect(frame)
+
+
+def frame_count(source: str | os.PathLike[str]) -> int | None:
+    """How many frames a source has; None for a stream."""
+    path = Path(source)
+    if path.is_dir():
+        return sum(1 for _ in path.iterdir())
+    if "://" in str(source) or not path.is_file():
+        return None
+    return len(video.video_info(path).presentation_s)
+
+
+def same_size(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those of another size than those that the model learned from.
+
+    Raises:
+        InputError: A picture has another size.
+    """
+    for frame in frames:
+        own_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
+        if own_px != size_px:
+            raise InputError(
+                f"{where}: its pictures have {own_px[0]} x {own_px[1]} px, the model learned "
+                f"from {size_px[0]} x {size_px[1]} px; fit one to pictures of this size"
+            )
+        yield frame
+
+
+def usable(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those that no target can be found and placed in.
+
+    Raises:
+        InputError: A picture has no time, or another size than those that the model learned from.
+    """
+    for frame in same_size(frames, size_px, where):
+        if not np.isfinite(frame.time_utc_s):
+            raise InputError(
+                f"{where}: nothing tells the time of frame {frame.index}; give the start of the "
+                "video (--start-utc), or a clock (--clock)"
+            )
+        yield frame
+
+
+class SceneDetections:
+    """What a detector finds in the pictures of a scene, each recording looked at once."""
+
+    def __init__(
+        self, scene: Scene, detector: str = DEFAULT_DETECTOR, progress: Progress | None = None
+    ) -> None:
+        """Take the detector's name.
+
+        Args:
+            scene: Whose recordings are to be looked at.
+            detector: As `detector_by_name` takes it.
+            progress: Told how far it is.
+
+        Raises:
+            InputError: The detector is not known.
+        """
+        # Unknown names are told before the work begins.
+        detector_by_name(detector)
+        self._scene = scene
+        self._detector = detector
+        self._tell = progress or (lambda _what, _share: None)
+        self._found: dict[str, tuple[Boxes, FloatArray]] = {}
+
+    def boxes(self, recording: Recording) -> Boxes:
+        """The boxes in a recording's pictures, with their times.
+
+        Raises:
+            InputError: The pictures cannot be read, have no times, or another size than the
+                scene's.
+        """
+        return self._look(recording)[0]
+
+    def times_utc_s(self, recording: Recording) -> FloatArray:
+        """(N,) the times of its pictures; raises as `boxes`."""
+        return self._look(recording)[1]
+
+    def _look(self, recording: Recording) -> tuple[Boxes, FloatArray]:
+        if recording.name not in self._found:
+            assert recording.source is not None, "a recording has boxes, detections or pictures"
+            times: list[float] = []
+
+            def noted(frames: Iterable[Frame]) -> Iterator[Frame]:
+                for frame in frames:
+                    times.append(frame.time_utc_s)
+                    yield frame
+
+            where = f"recording {recording.name}"
+            frames = usable(recording.frames(), self._scene.image_size_px, where)
+            found = list(
+                detect(
+                    noted(frames),
+                    detector_by_name(self._detector),
+                    frame_count(recording.source),
+                    lambda _what, share: self._tell(f"detecting in {recording.name}", share),
+                )
+            )
+            self._found[recording.name] = Boxes.concatenate(found), np.array(times)
+        return self._found[recording.name]
