@@ -106,8 +106,8 @@ def run(
         tell(f"tracking {recording.name}", float("nan"))
         held = models.get(recording.name, fitted)
         try:
-            made = _tracks(recording, fitted, seen, settings)
-            judged = made if held is fitted else _tracks(recording, held, seen, settings)
+            made = track_recording(recording, fitted, seen, settings)
+            judged = made if held is fitted else track_recording(recording, held, seen, settings)
         except SeldomError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
@@ -203,7 +203,7 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
     return found[np.array(sorted(set(rows)), dtype=np.int64)]
 
 
-def _tracks(
+def track_recording(
     recording: Recording, model: Georeferencer, seen: SceneDetections, settings: TrackSettings
 ) -> list[Track]:
     """The tracks of a recording: of the target that somebody drew, or of whatever is seen."""
