@@ -12,7 +12,7 @@ from sightline.association.horizon import shore_landmarks
 from sightline.association.observations import observe
 from sightline.association.paths import LoggedPath
 from sightline.association.search import Watch
-from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
+from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections, check_detector_name
 from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.geodesy import LocalPlane
@@ -76,6 +76,8 @@ def fit_scene(
     """
     if model not in MODELS:
         raise unknown_name("model", model, MODELS)
+    if detector is not None:
+        check_detector_name(detector)
     drawn = any(r.boxes_path and r.fixes_path for r in scene.recordings)
     looks = seen is not None or detector is not None
     able = any(

@@ -1,6 +1,11 @@
 """Stage 1: frames in, boxes out."""
 
-from sightline.detection.by_name import DEFAULT_DETECTOR, DETECTORS, detector_by_name
+from sightline.detection.by_name import (
+    DEFAULT_DETECTOR,
+    DETECTORS,
+    check_detector_name,
+    detector_by_name,
+)
 from sightline.detection.detector import Detector
 from sightline.detection.looking import Progress, SceneDetections, detect, frame_count
 from sightline.detection.motion import MotionDetector, MotionSettings
@@ -20,6 +25,7 @@ __all__ = [
     "SceneDetections",
     "View",
     "ViewSettings",
+    "check_detector_name",
     "detect",
     "detector_by_name",
     "frame_count",

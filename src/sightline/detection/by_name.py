@@ -15,6 +15,16 @@ DETECTORS = ("motion", "harbour")
 DEFAULT_DETECTOR = "harbour"
 
 
+def check_detector_name(name: str) -> None:
+    """Refuse what names no detector, without loading one.
+
+    Raises:
+        InputError: The name is none of `DETECTORS`, and no ONNX file's.
+    """
+    if name not in DETECTORS and not name.lower().endswith(".onnx"):
+        raise unknown_name("detector", name, (*DETECTORS, "a file that ends in .onnx"))
+
+
 def detector_by_name(
     name: str,
     *,
@@ -41,9 +51,8 @@ def detector_by_name(
                 "decoder, classes, threshold or provider; leave them out, or give an ONNX file"
             )
         return MotionDetector(horizon_px=horizon_px)
-    if name == "harbour":
-        return _harbour(horizon_px, options)
-    raise unknown_name("detector", name, (*DETECTORS, "a file that ends in .onnx"))
+    check_detector_name(name)
+    return _harbour(horizon_px, options)
 
 
 def _harbour(
