@@ -1,6 +1,6 @@
 """How far forecasts are off on real recordings, beside constant velocity from the log itself.
 
-    python benchmarks/forecast.py path/to/scene.toml [--model camera+gpr]
+    python benchmarks/forecast.py [SCENE] [--model camera+gpr]
 
 Each recording is placed by a model that never saw it, and each forecast is made by the boxes up to
 its moment alone. The boxes of the *AI Tracks at Sea* recordings are some four seconds apart.
@@ -9,7 +9,8 @@ its moment alone. The boxes of the *AI Tracks at Sea* recordings are some four s
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
+
+from _recordings import challenge_scene
 
 from sightline.evaluation.forecast import ForecastError
 from sightline.inference.georeferencer import DEFAULT_MODEL
@@ -29,10 +30,10 @@ def line(name: str, ahead: str, error: ForecastError) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scene", type=Path)
+    parser.add_argument("scene", nargs="?")
     parser.add_argument("--model", default=DEFAULT_MODEL)
     chosen = parser.parse_args()
-    scene = Scene.load(chosen.scene)
+    scene = Scene.load(challenge_scene(chosen.scene))
     models = leave_one_out(scene, chosen.model)
     placed = place_boxes(scene.select(models), models.__getitem__)
     report = with_forecasts(score(placed), placed)

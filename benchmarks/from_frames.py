@@ -1,6 +1,6 @@
 """From frames and a log alone: the boat's position in recordings that nothing has seen.
 
-    python benchmarks/from_frames.py [SCENE]
+    python benchmarks/from_frames.py [SCENE [MAP.png]]
 
 No drawn box is used. Each recording is searched by a detector that was not trained on it: the
 shipped one, or for the recordings that it learned from `detectors/fold2.onnx`, which learned from
@@ -11,17 +11,18 @@ and the log has a fix: how many of them have a position, and how far it is from 
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from _recordings import challenge_scene
 
 from sightline.association.teach import fit_scene
 from sightline.detection import SceneDetections
 from sightline.errors import FitError
+from sightline.evaluation.plots import MapPanel, map_figure, save_figure
 from sightline.evaluation.report import pair_target
 from sightline.pipeline.tracking import TrackSettings
 from sightline.pipeline.whole import track_recording
@@ -55,9 +56,7 @@ class OutOfFold(SceneDetections):
 
 
 def main() -> None:
-    data = Path(os.environ.get("SIGHTLINE_DATA", "../shared/data"))
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else data / "tracks-at-sea" / "scene.toml"
-    drawn = Scene.load(path)
+    drawn = Scene.load(challenge_scene(*sys.argv[1:2]))
     bare = replace(
         drawn,
         recordings=tuple(
@@ -66,6 +65,7 @@ def main() -> None:
     )
     seen = OutOfFold(bare)
     errors: list[float] = []
+    panels: list[MapPanel] = []
     asked = 0
     print("recording  frames  placed  RMSE m  fit s")
     for recording in drawn.recordings:
@@ -91,6 +91,7 @@ def main() -> None:
         took_s = time.perf_counter() - began
         tracks = track_recording(bare[recording.name], model, seen, TrackSettings())
         pairs, _ = pair_target(tracks, fixes)
+        panels.append(MapPanel(f"recording {recording.name}", pairs, smooth=True))
         own = [
             float(pairs.error_m[np.argmin(np.abs(pairs.time_utc_s - when))])
             for when in times
@@ -105,6 +106,8 @@ def main() -> None:
         f"all      {asked:8d}{len(errors):8d}{rmse:8.1f}   "
         f"({100 * share:.0f} %, median {median:.1f} m)"
     )
+    if len(sys.argv) > 2:
+        save_figure(map_figure(panels), sys.argv[2])
 
 
 if __name__ == "__main__":

@@ -9,11 +9,11 @@ further than 130 m away, and places the boxes of the others.
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
+from _recordings import challenge_scene
 
 from sightline.evaluation.report import Report
 from sightline.inference.georeferencer import MODELS, fit
@@ -63,9 +63,4 @@ def main(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    data = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    given = Path(sys.argv[1]) if len(sys.argv) > 1 else data / "tracks-at-sea" / "scene.toml"
-    if given.is_file():
-        main(given)
-    else:
-        print("skipped: the recordings are not here; give the path of their scene file")
+    main(challenge_scene(*sys.argv[1:2]))
