@@ -16,6 +16,9 @@ from sightline.types import BoolArray, Boxes, IntArray
 EMPTY_TABLE = "empty.csv"
 """In a folder of labels: ``recording,frame``, the frames that are known to hold none."""
 
+TABLES_FOLDER = "boxes"
+"""In a folder of labels: where its tables may lie, instead of in the folder itself."""
+
 _CORNERS = ["x1", "y1", "x2", "y2"]
 _OPTIONAL = ("annotator", "label", "target", "confidence", "time_utc", "track_id")
 
@@ -40,7 +43,7 @@ class Labels:
         return np.unique(np.concatenate([self.boxes.frame, self.empty_frames]))
 
 
-def read_labels(path: str | os.PathLike[str]) -> Labels:
+def read_labels(path: str | os.PathLike[str], *, may_be_empty: bool = False) -> Labels:
     """A table of labels: ``frame,x1,y1,x2,y2`` and optionally ``annotator,label,target``.
 
     A row without corners says that its frame holds no box. ``target`` is 1 for what is looked for
@@ -48,14 +51,15 @@ def read_labels(path: str | os.PathLike[str]) -> Labels:
 
     Args:
         path: A CSV file.
+        may_be_empty: Whether it may have a header alone.
 
     Raises:
-        InputError: A row cannot be understood, or there is none.
+        InputError: A row cannot be understood, or there is none and must be.
     """
     (rows,) = _files.table(
         path, required=("frame", *_CORNERS), optional=_OPTIONAL, text=("label", "annotator")
     )
-    if not len(rows):
+    if not len(rows) and not may_be_empty:
         raise InputError(f"{path}: holds no box, and no frame without one")
     empty = rows[_CORNERS].isna().all(axis=1)
     drawn = rows[~empty]
@@ -72,6 +76,8 @@ def read_labels(path: str | os.PathLike[str]) -> Labels:
 def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels | None:
     """The labels of a recording in a folder: ``RECORDING.csv``, and its rows of ``empty.csv``.
 
+    The tables may also lie in a folder ``boxes`` within it.
+
     Returns:
         None where the folder says nothing of the recording.
 
@@ -80,9 +86,11 @@ def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels 
     """
     if not Path(folder).is_dir():
         raise InputError(f"{folder}: there is no such folder of labels")
-    table = Path(folder) / f"{recording}.csv"
-    # Beside the tables, or beside the folder that they lie in.
-    several = [Path(folder) / EMPTY_TABLE, Path(folder).resolve().parent / EMPTY_TABLE]
+    # The tables may lie in a folder of their own, beside the list of empty frames.
+    inner = Path(folder) / TABLES_FOLDER
+    tables = inner if inner.is_dir() else Path(folder)
+    table = tables / f"{recording}.csv"
+    several = [tables / EMPTY_TABLE, tables.resolve().parent / EMPTY_TABLE]
     empty = np.empty(0, dtype=np.int64)
     for path in several:
         if path.is_file():
@@ -93,7 +101,7 @@ def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels 
             return None
         nothing = Boxes.of(np.empty((0, 4)))
         return Labels(nothing, np.empty(0, dtype=bool), empty)
-    labels = read_labels(table)
+    labels = read_labels(table, may_be_empty=bool(empty.size))
     return Labels(labels.boxes, labels.target, np.union1d(labels.empty_frames, empty))
 
 

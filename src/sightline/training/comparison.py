@@ -56,7 +56,7 @@ class ComparedDetector:
         name: The architecture.
         parameters: How many there are.
         file_bytes: Of the ONNX file.
-        training_s: How long it learned, over all sittings.
+        training_s: How long it learned, over all sittings; validations do not count.
         steps: Batches that it learned from.
         frame_ms: Median time for a frame of the test recordings, all views of it.
         report: How well it does on the test recordings.
@@ -85,14 +85,16 @@ class DetectorComparison:
             0.5 IoU) and ``giou_loss``; empty where that was not asked for.
         hardware: What it ran on.
         split: Recordings by ``train``, ``validation`` and ``test``.
-        seed: Of all trainings.
+        settings: What all trainings had in common: ``steps`` at most, ``minutes`` at most (0: no
+            limit), ``batch``, ``size_px`` of a crop, ``scales``, ``rate``, ``seed``, ``threads``,
+            and ``options`` of the architectures.
     """
 
     rows: tuple[ComparedDetector, ...]
     histories: Mapping[str, Sequence[Mapping[str, float]]]
     hardware: Mapping[str, Any]
     split: Mapping[str, Sequence[str]]
-    seed: int
+    settings: Mapping[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as JSON has it."""
@@ -103,7 +105,7 @@ class DetectorComparison:
             },
             "hardware": dict(self.hardware),
             "split": {part: list(names) for part, names in self.split.items()},
-            "seed": self.seed,
+            "settings": dict(self.settings),
         }
 
 
@@ -196,7 +198,7 @@ def compare_detectors(
                 name=name,
                 parameters=made.parameters,
                 file_bytes=made.path.stat().st_size,
-                training_s=made.training.elapsed_s,
+                training_s=made.training.learned_s,
                 steps=made.training.steps,
                 frame_ms=_frame_ms(scene, test[0], detector),
                 report=report,
@@ -213,7 +215,17 @@ def compare_detectors(
         histories=histories,
         hardware=hardware(recipe.training.device),
         split={"train": recipe.train, "validation": recipe.validation, "test": tuple(test)},
-        seed=recipe.training.seed,
+        settings={
+            "steps": recipe.training.steps,
+            "minutes": recipe.training.minutes,
+            "batch": recipe.batch,
+            "size_px": list(recipe.size_px),
+            "scales": list(scales),
+            "rate": recipe.training.rate,
+            "seed": recipe.training.seed,
+            "threads": recipe.training.threads,
+            "options": {name: dict(values) for name, values in given.items()},
+        },
     )
 
 

@@ -23,6 +23,7 @@ BACKBONES = ("resnet18", "resnet34", "resnet50")
 _STRIDE = 32
 _INSIDE_IGNORED = 0.5
 _LEAST_SCORE = 0.05
+_SAMPLES = 512
 _NOTHING_SAID = -1
 """torchvision's label of an anchor or a proposal that is neither right nor wrong."""
 
@@ -32,14 +33,23 @@ class FasterRcnnDetector:
 
     stride = _STRIDE
 
-    def __init__(self, name: str, class_names: Sequence[str], backbone: str = "resnet18") -> None:
+    def __init__(
+        self,
+        name: str,
+        class_names: Sequence[str],
+        backbone: str = "resnet18",
+        samples: int = _SAMPLES,
+    ) -> None:
         """Begin with random weights.
 
         Args:
             name: Of the architecture.
             class_names: What it is to tell apart.
             backbone: One of `BACKBONES`.
+            samples: Proposals of a picture that the second stage learns from.
         """
+        if samples < 1:
+            raise InputError(f"{name}: cannot learn from {samples} proposals; give 1 or more")
         if backbone not in BACKBONES:
             raise unknown_name("backbone", backbone, BACKBONES)
         self.name = name
@@ -52,7 +62,12 @@ class FasterRcnnDetector:
             trainable_layers=5,
         )
         # The loop says how large pictures are.
-        self._rcnn = FasterRCNN(body, num_classes=1 + len(class_names), _skip_resize=True)
+        self._rcnn = FasterRCNN(
+            body,
+            num_classes=1 + len(class_names),
+            box_batch_size_per_image=samples,
+            _skip_resize=True,
+        )
         self._rcnn.rpn.__class__ = _Proposals
         self._rcnn.roi_heads.__class__ = _Heads
         self.module: nn.Module = self._rcnn
@@ -157,7 +172,12 @@ def _telling_losses(rcnn: Any) -> Iterator[None]:
 
 
 def build(
-    name: str, class_names: Sequence[str], *, weights: str = "", backbone: str = "resnet18"
+    name: str,
+    class_names: Sequence[str],
+    *,
+    weights: str = "",
+    backbone: str = "resnet18",
+    samples: int = _SAMPLES,
 ) -> FasterRcnnDetector:
     """A Faster R-CNN.
 
@@ -168,13 +188,15 @@ def build(
             any classes; empty: random weights.
         backbone: One of `BACKBONES`; ``"resnet50"`` is the one that torchvision publishes weights
             of.
+        samples: Proposals of a picture that the second stage learns from, as published 512. On a
+            CPU most of a step's time goes there.
 
     Raises:
         InputError: A file or an option cannot be used.
     """
     if not class_names:
         raise InputError(f"{name}: needs the name of a class at least")
-    detector = FasterRcnnDetector(name, class_names, backbone)
+    detector = FasterRcnnDetector(name, class_names, backbone, samples)
     if weights:
         load_matching(detector.module, weights)
     return detector

@@ -57,6 +57,10 @@ class TrainingSettings:
 
     Attributes:
         steps: Batches in all.
+        minutes: Of learning after which training stops though there are steps left; validations
+            do not count. The learning rate then falls by whichever of the two is nearer to its
+            end. Such a run cannot be repeated to the bit: how far it comes is the machine's. 0: no
+            limit.
         rate: The highest learning rate, of AdamW.
         weight_decay: Of weights; biases and normalisations have none.
         warmup: Steps over which the rate rises; then it falls as half a cosine.
@@ -73,6 +77,7 @@ class TrainingSettings:
     """
 
     steps: int = 6000
+    minutes: float = 0.0
     rate: float = 2e-3
     weight_decay: float = 0.02
     warmup: int = 200
@@ -89,6 +94,10 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         if self.steps < 1 or self.validate_every < 1 or self.checkpoint_every < 1:
             raise InputError("steps of training, and between validations, must be 1 or more")
+        if not (self.minutes >= 0.0 and math.isfinite(self.minutes)):
+            raise InputError(
+                f"a training of {self.minutes:g} minutes cannot be; give 0 for no limit"
+            )
         if not self.rate > 0.0:
             raise InputError(f"a learning rate of {self.rate:g} is not positive")
         if self.precision not in ("auto", "float32", "bfloat16"):
@@ -119,6 +128,7 @@ class _State:
     best_score: float = -1.0
     best_step: int = 0
     elapsed_s: float = 0.0
+    learned_s: float = 0.0
     history: list[dict[str, float]] = field(default_factory=list)
 
 
@@ -131,6 +141,7 @@ class TrainingResult:
         best_step: Of the weights that were kept.
         best_score: Of those on the validation pictures, or NaN.
         elapsed_s: Over all sittings.
+        learned_s: The part of it that is not validations.
         history: A row a validation.
         stopped_early: Whether patience ran out.
     """
@@ -139,6 +150,7 @@ class TrainingResult:
     best_step: int
     best_score: float
     elapsed_s: float
+    learned_s: float
     history: tuple[Mapping[str, float], ...]
     stopped_early: bool
 
@@ -194,13 +206,15 @@ def train(
     stopped = _patience_spent(state, settings)
     sums: dict[str, float] = {}
     since = state.step
-    while state.step < settings.steps and not stopped:
-        _step(trainable, batches, optimizer, mean, state.step, settings, device, sums)
+    while _done(state, settings) < 1.0 and not stopped:
+        started = time.monotonic()
+        _step(trainable, batches, optimizer, mean, state, settings, device, sums)
         state.step += 1
+        state.learned_s += time.monotonic() - started
         if progress is not None:
             losses = {name: value / (state.step - since) for name, value in sums.items()}
-            progress(_line(state, settings, losses), state.step / settings.steps)
-        last = state.step == settings.steps
+            progress(_line(state, settings, losses), min(1.0, _done(state, settings)))
+        last = _done(state, settings) >= 1.0
         if state.step % settings.validate_every == 0 or last:
             row = {"step": float(state.step), "elapsed_s": time.monotonic() - begun}
             row |= {f"loss_{name}": value / (state.step - since) for name, value in sums.items()}
@@ -228,8 +242,9 @@ def train(
         best_step=state.best_step,
         best_score=state.best_score if validation else float("nan"),
         elapsed_s=state.elapsed_s,
+        learned_s=state.learned_s,
         history=tuple(state.history),
-        stopped_early=stopped and state.step < settings.steps,
+        stopped_early=stopped and _done(state, settings) < 1.0,
     )
 
 
@@ -256,16 +271,17 @@ def _step(
     batches: BatchOf,
     optimizer: torch.optim.Optimizer,
     mean: dict[str, Tensor],
-    number: int,
+    state: _State,
     settings: TrainingSettings,
     device: torch.device,
     sums: dict[str, float],
 ) -> None:
+    number = state.step
     images, targets = batches(number)
     torch.manual_seed(settings.seed * 1_000_003 + number)
     module = trainable.module
     module.train()
-    factor = _rate_factor(number, settings)
+    factor = _rate_factor(state, settings)
     for group in optimizer.param_groups:
         group["lr"] = settings.rate * factor * group.get("factor", 1.0)
     images = images.to(device, memory_format=torch.channels_last)
@@ -289,7 +305,16 @@ def _step(
         sums[name] = sums.get(name, 0.0) + float(loss.detach())
 
 
-def _rate_factor(number: int, settings: TrainingSettings) -> float:
+def _done(state: _State, settings: TrainingSettings) -> float:
+    """The share that is done, of the steps or of the minutes."""
+    spent = state.learned_s / (60.0 * settings.minutes) if settings.minutes else 0.0
+    return max(state.step / settings.steps, spent)
+
+
+def _rate_factor(state: _State, settings: TrainingSettings) -> float:
+    number = float(state.step)
+    if settings.minutes:
+        number = max(number, settings.steps * _done(state, settings))
     # Short trainings have short beginnings.
     warmup = min(settings.warmup, settings.steps // 5)
     if number < warmup:
@@ -326,7 +351,10 @@ def _patience_spent(state: _State, settings: TrainingSettings) -> bool:
 def _line(state: _State, settings: TrainingSettings, losses: Mapping[str, float]) -> str:
     parts = ", ".join(f"{name} {value:.3f}" for name, value in losses.items())
     best = f"; best {state.best_score:.3f}" if state.history else ""
-    return f"step {state.step} of {settings.steps}: {parts}{best}"
+    limit = (
+        f", {state.learned_s / 60.0:.1f} of {settings.minutes:g} min" if settings.minutes else ""
+    )
+    return f"step {state.step} of {settings.steps}{limit}: {parts}{best}"
 
 
 # ---- judging ----------------------------------------------------------------------------------
@@ -575,6 +603,9 @@ def _identity(configuration: Mapping[str, Any]) -> str:
     """A hash of what the result depends on; where and with how many threads it runs is left out."""
     free = ("device", "threads", "checkpoint_every")
     settings = {k: v for k, v in configuration["training"].items() if k not in free}
+    # Without a limit a run is the same as before there were limits.
+    if not settings["minutes"]:
+        del settings["minutes"]
     content = {k: v for k, v in configuration.items() if k != "versions"} | {"training": settings}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -57,6 +57,9 @@ def compare(
     ] = True,
     classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = "boat",
     steps: Annotated[int, typer.Option(help="Batches that each learns from.")] = 6000,
+    minutes: Annotated[
+        float, typer.Option(help="Of learning that each has at most; 0: no limit.")
+    ] = 0.0,
     batch: Annotated[int, typer.Option(help="Crops in a batch.")] = 16,
     size: Annotated[str, typer.Option(metavar="WxH", help="Of a crop, px.")] = "416x416",
     scales: Annotated[
@@ -104,6 +107,7 @@ def compare(
         augmentation=Augmentation(scales=(low, high)),
         training=TrainingSettings(
             steps=steps,
+            minutes=minutes,
             rate=rate,
             validate_every=validate_every,
             seed=seed,
@@ -128,11 +132,12 @@ def compare(
     if made.histories:
         with atomic_path(output / "augmentation.png") as temporary:
             augmentation_figure(made).savefig(temporary, dpi=150)
-    table = Table("detector", "training", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95")
+    table = Table("detector", "training", "batches", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95")
     for row in made.rows:
         table.add_row(
             row.name,
             f"{row.training_s / 60.0:.1f} min",
+            str(row.steps),
             f"{row.frame_ms:.0f} ms",
             f"{row.parameters / 1e6:.1f} M",
             number(row.report.map_50),

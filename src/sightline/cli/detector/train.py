@@ -70,6 +70,10 @@ def train(
         int, typer.Option(help="Pictures of the synthetic harbour to learn from as well.")
     ] = 0,
     steps: Annotated[int, typer.Option(help="Batches to learn from.")] = 6000,
+    minutes: Annotated[
+        float,
+        typer.Option(help="Of learning after which it stops, if steps are left; 0: no limit."),
+    ] = 0.0,
     batch: Annotated[int, typer.Option(help="Crops in a batch.")] = 16,
     size: Annotated[str, typer.Option(metavar="WxH", help="Of a crop, px.")] = "320x192",
     scales: Annotated[
@@ -148,6 +152,7 @@ def train(
         ),
         training=TrainingSettings(
             steps=steps,
+            minutes=minutes,
             rate=rate,
             validate_every=validate_every,
             patience=patience,
