@@ -17,7 +17,7 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
-from sightline.formats.labels import read_label_folder, read_labels
+from sightline.formats.labels import parse_margins, read_label_folder, read_labels
 from sightline.scene import Scene
 from sightline.types import Boxes, Frame
 
@@ -150,6 +150,39 @@ def test_labels_tell_targets_others_and_empty_frames(tmp_path: Path) -> None:
     assert eight is not None
     assert (len(eight.boxes), eight.frames.tolist()) == (0, [500])
     assert read_label_folder(tmp_path, "09") is None
+
+
+def test_tables_of_labels_may_lie_beside_the_list_of_empty_frames(tmp_path: Path) -> None:
+    inner = tmp_path / "boxes"
+    inner.mkdir()
+    (inner / "07.csv").write_text("frame,x1,y1,x2,y2\n0,1,2,30,40\n")
+    (inner / "08.csv").write_text("frame,x1,y1,x2,y2\n")
+    (tmp_path / "empty.csv").write_text("recording,frame\n07,300\n08,500\n")
+    for folder in (tmp_path, inner):
+        seven = read_label_folder(folder, "07")
+        assert seven is not None
+        assert seven.frames.tolist() == [0, 300]
+        # A table without boxes is of use where its frames are known to be empty.
+        eight = read_label_folder(folder, "08")
+        assert eight is not None
+        assert (len(eight.boxes), eight.frames.tolist()) == (0, [500])
+
+
+def test_margins_of_annotators_and_specks(tmp_path: Path) -> None:
+    (tmp_path / "07.csv").write_text(
+        "frame,x1,y1,x2,y2,annotator,target\n"
+        "0,100,50,140,70,me,1\n0,10,20,20,25,me,1\n0,100,50,140,70,you,1\n"
+    )
+    labels = read_labels(tmp_path / "07.csv")
+    changed = labels.without_specks(6.0).widened(parse_margins(["me=2.5+10%"]))
+    # By 2.5 px and a tenth of the height, 4.5 px and 3 px; the other annotator's stays.
+    np.testing.assert_allclose(
+        changed.boxes.xyxy_px,
+        [[95.5, 45.5, 144.5, 74.5], [7.0, 17.0, 23.0, 28.0], [100.0, 50.0, 140.0, 70.0]],
+    )
+    # It was 5 px high before the margin.
+    assert changed.target.tolist() == [True, False, True]
+    assert labels.target.all()
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,9 @@ def test_a_detector_is_trained_and_measured_on_a_recording_left_out(
     assert row.frame_ms > 0.0
     assert row.report.frames == row.report.drawn == 6
     assert 0.0 <= row.report.map_50_95 <= row.report.map_50 <= 1.0
+    assert made.settings["steps"] == 2
+    assert made.settings["minutes"] == 0.0
+    assert made.settings["options"] == SMALL
     assert made.split == {"train": ("a",), "validation": (), "test": ("b",)}
     assert json.loads(json.dumps(made.to_dict()))["detectors"]["yolov3"]["steps"] == 2
     with pytest.raises(InputError, match="without YOLOv4's augmentations"):
@@ -88,7 +91,7 @@ def test_the_figure_shows_both_measures_of_every_variant() -> None:
         ]
         for i, name in enumerate(VARIANTS)
     }
-    made = DetectorComparison((), histories, {}, {}, 0)
+    made = DetectorComparison((), histories, {}, {}, {})
     left, right = augmentation_figure(made).axes
     assert [line.get_label() for line in left.lines] == list(VARIANTS)
     assert list(left.lines[1].get_ydata()) == pytest.approx([0.3, 0.5])

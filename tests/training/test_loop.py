@@ -16,7 +16,7 @@ from pycocotools.cocoeval import COCOeval
 from safetensors.torch import load_file
 
 from sightline.errors import InputError
-from sightline.training import ARCHITECTURES, Prediction, Target, Trainable, build
+from sightline.training import ARCHITECTURES, Prediction, Target, Trainable, build, loop
 from sightline.training.architecture import _MODULES
 from sightline.training.augmentation import Augmentation, Batches
 from sightline.training.data import Picture
@@ -24,6 +24,7 @@ from sightline.training.export import TOLERANCE, ExportError, export_onnx
 from sightline.training.loop import (
     CHECKPOINT,
     WEIGHTS,
+    TrainingResult,
     TrainingSettings,
     find_device,
     load_weights,
@@ -106,6 +107,57 @@ def test_each_architecture_trains_resumes_and_exports(name: str, tmp_path: Path)
     model = onnx.load(path)
     assert model.ir_version <= 13
     assert model.opset_import[0].version <= 26
+
+
+class _Clock:
+    """Every look at it is ten seconds later."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        self.now_s += 10.0
+        return self.now_s
+
+
+def test_a_training_stops_when_its_minutes_are_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A step takes ten seconds by this clock, so a minute is six of a hundred.
+    monkeypatch.setattr(loop, "time", _Clock())
+    settings = TrainingSettings(
+        steps=100, minutes=1.0, validate_every=2, checkpoint_every=1, device="cpu", threads=1
+    )
+    shares: list[float] = []
+
+    def learn(kill_at: float = 2.0) -> TrainingResult:
+        def tell(_what: str, share: float) -> None:
+            shares.append(share)
+            if share >= kill_at:
+                raise KilledError
+
+        trainable = build("harbour", CLASSES, width=0.5)
+        return train(
+            trainable, _batches(), _pictures()[:1], settings, tmp_path, {"data": 1}, progress=tell
+        )
+
+    with pytest.raises(KilledError):
+        learn(kill_at=0.5)
+    # Two steps of the first sitting were kept; what they took is not given again.
+    made = learn()
+    assert made.steps == 6
+    assert made.learned_s == 60.0
+    assert made.elapsed_s > made.learned_s
+    assert not made.stopped_early
+    assert shares == pytest.approx([1 / 6, 2 / 6, 3 / 6, 3 / 6, 4 / 6, 5 / 6, 1.0])
+    assert [row["step"] for row in made.history] == [2.0, 4.0, 6.0]
+    assert learn().steps == 6
+
+
+@pytest.mark.parametrize("minutes", [-1.0, float("nan"), float("inf")])
+def test_minutes_that_cannot_be_are_refused(minutes: float) -> None:
+    with pytest.raises(InputError, match="minutes cannot be; give 0 for no limit"):
+        TrainingSettings(minutes=minutes)
 
 
 @pytest.mark.parametrize("name", THERE)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.formats.boxes_csv import boxes_of_rows
-from sightline.types import BoolArray, Boxes, IntArray
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 EMPTY_TABLE = "empty.csv"
 """In a folder of labels: ``recording,frame``, the frames that are known to hold none."""
@@ -21,6 +22,27 @@ TABLES_FOLDER = "boxes"
 
 _CORNERS = ["x1", "y1", "x2", "y2"]
 _OPTIONAL = ("annotator", "label", "target", "confidence", "time_utc", "track_id")
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What is added on every side of a box.
+
+    Attributes:
+        px: Pixels.
+        share: And this share of the box's height.
+    """
+
+    px: float = 0.0
+    share: float = 0.0
+
+    def widened(self, xyxy_px: FloatArray) -> FloatArray:
+        """(..., 4) boxes with the margin."""
+        margin = self.px + self.share * (xyxy_px[..., 3:] - xyxy_px[..., 1:2])
+        return np.asarray(xyxy_px + margin * np.array([-1.0, -1.0, 1.0, 1.0]))
+
+    def __str__(self) -> str:
+        return f"{self.px:g}+{100.0 * self.share:g}%"
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +63,19 @@ class Labels:
     def frames(self) -> IntArray:
         """(M,) int64, in order: all frames of which something is known."""
         return np.unique(np.concatenate([self.boxes.frame, self.empty_frames]))
+
+    def without_specks(self, least_height_px: float) -> Labels:
+        """Boxes that are lower are taken for other boats: neither right nor wrong to find."""
+        heights = self.boxes.xyxy_px[:, 3] - self.boxes.xyxy_px[:, 1]
+        return replace(self, target=self.target & (heights >= least_height_px))
+
+    def widened(self, margins: Mapping[str, Margin]) -> Labels:
+        """With the margin of each annotator added to the boxes, other boats' too."""
+        xyxy_px = self.boxes.xyxy_px.copy()
+        for name, margin in margins.items():
+            rows = self.boxes.source == name
+            xyxy_px[rows] = margin.widened(xyxy_px[rows])
+        return replace(self, boxes=replace(self.boxes, xyxy_px=xyxy_px))
 
 
 def read_labels(path: str | os.PathLike[str], *, may_be_empty: bool = False) -> Labels:
@@ -109,3 +144,24 @@ def _empty_frames(path: Path, recording: str) -> IntArray:
     (rows,) = _files.table(path, required=("recording", "frame"), text=("recording",))
     own = rows[rows["recording"].str.strip() == recording]
     return np.unique(_files.whole_numbers(path, own["frame"]))
+
+
+def parse_margins(texts: Sequence[str]) -> dict[str, Margin]:
+    """Margins from ``SOURCE=PX`` or ``SOURCE=PX+SHARE%``.
+
+    Raises:
+        InputError: A text is of another form.
+    """
+    margins = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        pixels, plus, share = value.partition("+")
+        try:
+            percent = float(share.removesuffix("%")) if plus else 0.0
+            margins[name] = Margin(float(pixels), percent / 100.0)
+        except ValueError as error:
+            raise InputError(
+                f"--margin {text!r}: expected SOURCE=PX or SOURCE=PX+PERCENT%, for example voc=-3 "
+                "or eye=1+20%"
+            ) from error
+    return margins

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.formats.boxes_csv import usable
+from sightline.formats.labels import Margin, parse_margins
 from sightline.scene import Recording, Scene
 from sightline.simulation import Harbour, Renderer
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
@@ -92,27 +93,6 @@ class Sprite:
     waterline_px: float
     label: int
     worth: float = 1.0
-
-
-@dataclass(frozen=True)
-class Margin:
-    """What is added on every side of a box.
-
-    Attributes:
-        px: Pixels.
-        share: And this share of the box's height.
-    """
-
-    px: float = 0.0
-    share: float = 0.0
-
-    def widened(self, xyxy_px: FloatArray) -> FloatArray:
-        """(..., 4) boxes with the margin."""
-        margin = self.px + self.share * (xyxy_px[..., 3:] - xyxy_px[..., 1:2])
-        return np.asarray(xyxy_px + margin * np.array([-1.0, -1.0, 1.0, 1.0]))
-
-    def __str__(self) -> str:
-        return f"{self.px:g}+{100.0 * self.share:g}%"
 
 
 @dataclass(frozen=True)
@@ -567,27 +547,6 @@ def digest(pictures: Sequence[Picture]) -> dict[str, Any]:
             "sha256": joined.hexdigest(),
         }
     return result
-
-
-def parse_margins(texts: Sequence[str]) -> dict[str, Margin]:
-    """Margins from ``SOURCE=PX`` or ``SOURCE=PX+SHARE%``.
-
-    Raises:
-        InputError: A text is of another form.
-    """
-    margins = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        pixels, plus, share = value.partition("+")
-        try:
-            percent = float(share.removesuffix("%")) if plus else 0.0
-            margins[name] = Margin(float(pixels), percent / 100.0)
-        except ValueError as error:
-            raise InputError(
-                f"--margin {text!r}: expected SOURCE=PX or SOURCE=PX+PERCENT%, for example voc=-3 "
-                "or eye=1+20%"
-            ) from error
-    return margins
 
 
 __all__ = [

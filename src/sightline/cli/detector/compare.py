@@ -132,7 +132,9 @@ def compare(
     if made.histories:
         with atomic_path(output / "augmentation.png") as temporary:
             augmentation_figure(made).savefig(temporary, dpi=150)
-    table = Table("detector", "training", "batches", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95")
+    table = Table(
+        "detector", "training", "batches", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95"
+    )
     for row in made.rows:
         table.add_row(
             row.name,

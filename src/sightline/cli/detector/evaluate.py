@@ -34,6 +34,7 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
+from sightline.formats.labels import parse_margins
 from sightline.inference.model_file import load_model
 from sightline.pipeline.boxes import make_detector
 from sightline.scene import Scene
@@ -55,6 +56,23 @@ def evaluate(
             help="Boxes drawn by hand, RECORDING.csv, and empty.csv; absent: the scene's own.",
         ),
     ] = None,
+    margin: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SOURCE=PX[+SHARE%]",
+            help="Added on every side of the drawn boxes of an annotator, as in `detector train`. "
+            "May be given several times.",
+        ),
+    ] = None,
+    least_height: Annotated[
+        float,
+        typer.Option(
+            metavar="PX",
+            min=0.0,
+            help="Drawn boxes that are lower, before margins, are neither to be found nor wrong "
+            "to find.",
+        ),
+    ] = 0.0,
     iou: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Overlap from which a box counts as found.")
     ] = DEFAULT_IOU,
@@ -77,7 +95,11 @@ def evaluate(
     loaded = Scene.load(scene)
     if recordings is not None:
         loaded = loaded.select(name.strip() for name in recordings.split(",") if name.strip())
-    known = scene_labels(loaded, labels)
+    margins = parse_margins(margin or [])
+    known = {
+        name: one.without_specks(least_height).widened(margins)
+        for name, one in scene_labels(loaded, labels).items()
+    }
     fitted = load_model(model) if model is not None else None
     found = make_detector(
         detector, fitted, options_of(decoder, classes, threshold, provider, views)
