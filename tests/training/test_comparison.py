@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ pytest.importorskip("torch")
 from sightline.cli import main
 from sightline.errors import InputError
 from sightline.scene import Scene
+from sightline.training import loop
 from sightline.training.comparison import (
     VARIANTS,
     DetectorComparison,
@@ -131,11 +133,64 @@ def test_what_cannot_be_compared_is_said_before_anything_is_trained(
     assert not (tmp_path / "out").exists()
 
 
-def test_options_of_unknown_architectures_are_refused(
-    scene: Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+SMALL_RUN = "--no-augmentations --arch yolov3 --size 64x64 --batch 2 --steps 1 "
+
+REFUSED = [
+    ("option", "--option backbone=resnet50", "expected ARCH.NAME=VALUE"),
+    ("minutes", "--no-augmentations --minutes -3", "-3 minutes cannot be"),
+    ("device", SMALL_RUN + "--device abacus", "the device 'abacus' is not to be had here"),
+    ("no boxes to learn from", SMALL_RUN + "--train c", "for train (c) have no boxes"),
+    ("no labels", SMALL_RUN + "--labels {t}/none", "none: there is no such folder of labels"),
+    ("empty labels", SMALL_RUN + "--labels {t}/labels", "a.csv: holds no box, and no frame"),
+    ("no .cfg", SMALL_RUN + "--option yolov3.cfg={t}/no.cfg", "no.cfg: cannot be read"),
+    ("a section", SMALL_RUN + "--option yolov3.cfg={t}/odd.cfg", "unknown section [lstm]"),
+    (
+        "weights that do not fit",
+        SMALL_RUN + "--option yolov3.cfg=yolov3-tiny --option yolov3.weights={t}/short.weights",
+        "short.weights: ",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"), [case[1:] for case in REFUSED], ids=[case[0] for case in REFUSED]
+)
+def test_bad_input_of_a_comparison_is_a_line(
+    words: str, said: str, scene: Scene, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["detector", "compare", str(scene.path), "-o", str(tmp_path / "out"), "--test", "b"]
+    (tmp_path / "labels").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "labels" / f"{name}.csv").write_text("frame,x1,y1,x2,y2\n")
+    (tmp_path / "odd.cfg").write_text("[net]\nwidth=64\nheight=64\n[lstm]\noutput=3\n")
+    (tmp_path / "short.weights").write_bytes(struct.pack("<iiiq", 0, 2, 5, 0) + bytes(400))
+    before = set(tmp_path.rglob("*"))
+    command = ["detector", "compare", str(scene.path), "-o", str(tmp_path / "out"), "--test", "b"]
     with pytest.raises(SystemExit) as stopped:
-        main([*words, "--option", "backbone=resnet50"])
+        main([*command, *words.format(t=tmp_path).split()])
     assert stopped.value.code == 2
-    assert "expected ARCH.NAME=VALUE" in capfd.readouterr().err
+    (line,) = capfd.readouterr().err.strip().splitlines()
+    assert line.startswith("error: ")
+    assert said in line
+    assert set(tmp_path.rglob("*")) == before
+
+
+def test_cuda_where_there_is_none_is_said_in_a_line(
+    scene: Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def without(*_args: object, **_more: object) -> None:
+        raise RuntimeError("no NVIDIA driver")
+
+    # As torch does without a driver, so that a machine with one tests the same.
+    monkeypatch.setattr(loop.torch, "zeros", without)
+    for command in ("train", "compare"):
+        words = ["--arch", "harbour", "--device", "cuda", "-o", str(tmp_path / "out")]
+        more = ["--test", "b", "--no-augmentations"] if command == "compare" else []
+        with pytest.raises(SystemExit) as stopped:
+            main(["detector", command, str(scene.path), *words, *more])
+        assert stopped.value.code == 2
+        (line,) = capfd.readouterr().err.strip().splitlines()
+        assert "the device 'cuda' is not to be had here; use cpu, or auto" in line
+    assert not (tmp_path / "out").exists()

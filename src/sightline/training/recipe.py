@@ -26,7 +26,13 @@ from sightline.training.data import (
     vanishing_row_px,
 )
 from sightline.training.export import export_onnx
-from sightline.training.loop import TrainingResult, TrainingSettings, load_weights, train
+from sightline.training.loop import (
+    TrainingResult,
+    TrainingSettings,
+    find_device,
+    load_weights,
+    train,
+)
 
 Tell = Callable[[str, float], None]
 
@@ -114,6 +120,8 @@ def train_detector(
         ExportError: The exported file does not agree with the network.
     """
     tell = progress if progress is not None else _silent
+    # What is not there is said before pictures are read and folders made.
+    find_device(recipe.training.device)
     torch.manual_seed(recipe.training.seed)
     trainable = build(recipe.architecture, recipe.labels.class_names, **recipe.options)
     if recipe.initial is not None:
