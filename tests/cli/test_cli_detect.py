@@ -158,6 +158,7 @@ REFUSED = [
     ("class", DETECT + NET + " --classes ship", "unknown class of net 'ship'; known are person"),
     ("no class", DETECT + NET + " --classes ,", "classes names no class"),
     ("gpu", DETECT + NET + " --provider tensorrt", "cannot be run with tensorrt.*are .*cpu"),
+    ("cuda", DETECT + NET + " --provider cuda", "cannot be run with cuda.*are .*cpu"),
     ("provider", DETECT + NET + " --provider tpu", "unknown provider 'tpu'; known are cpu, cuda"),
     ("views", DETECT + NET + " --views all", "unknown kind of views 'all'; known are strip"),
     ("detector", DETECT + " --detector yolo", "unknown detector 'yolo'; known are motion, harbour"),
