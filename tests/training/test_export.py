@@ -294,7 +294,7 @@ def test_other_endings_and_files_that_are_read_are_refused(
         ('{"architecture": "yolov4", "classes": []}', "does not say which network"),
         (
             '{"architecture": "yolov4", "classes": ["a"], "options": {"depth": 3}}',
-            "has options that yolov4 does not know",
+            "unknown option of yolov4 'depth'; known are cfg",
         ),
         (
             '{"architecture": "yolov4", "classes": ["a"], "options": {"cfg": "yolov4-tiny"}}',
