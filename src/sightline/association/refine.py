@@ -25,6 +25,7 @@ CLOCKS_ALIKE_S = 2.0
 """By how much the offsets of recordings of one camera differ, as a standard deviation."""
 
 _WIDEST = 6.0
+_AGAIN = 2.5
 _ROUNDS = 10
 _MARGIN = 0.25
 _LARGEST_PX = 60.0
@@ -125,7 +126,35 @@ class Refiner:
                 state = self._step(state, noise, float(widen))
             if widen < 2.5:
                 noise = self._noise(state, noise, float(widen))
-        return self.explain(state, noise)
+        return self._alike(self.explain(state, noise))
+
+    def _alike(self, found: Explanation) -> Explanation:
+        """With the clocks that stray tried again where the others are; the likelier one stays.
+
+        A recording that tells little of its clock may be drawn to something else that is seen,
+        while the camera is still rough.
+        """
+        told = [i for i, share in enumerate(found.share) if (share > 0.5).sum() >= 3]
+        if len(told) < 3:
+            return found
+        common_s = float(np.median(found.offset_s[told]))
+        for index in told:
+            if abs(found.offset_s[index] - common_s) < CLOCKS_ALIKE_S:
+                continue
+            state = np.concatenate([found.vector, found.offset_s])
+            state[_N + index] = common_s
+            for widen in np.geomspace(_AGAIN, 1.0, _ROUNDS):
+                state = self._step(state, found.noise, float(widen))
+            other = self.explain(state, found.noise)
+            if self._likelihood(other) > self._likelihood(found):
+                found = other
+        return found
+
+    def _likelihood(self, found: Explanation) -> float:
+        """The logarithm of how likely an explanation is, but for a constant."""
+        off = np.concatenate([found.vector, found.offset_s]) - self._mean
+        off[3] = 0.0
+        return found.score - 0.5 * float(np.sum(self._precision * off**2))
 
     def explain(self, state: FloatArray, noise: FootNoise) -> Explanation:
         """What a camera and its clocks, (9 + R,), make of what is seen."""

@@ -41,6 +41,10 @@ MOST_A_RECORDING = 120
 _WITH_EDGE = CameraPrior(bias_px=-3.0, bias_px_sigma=5.0)
 _WITHOUT_EDGE = CameraPrior(bias_px=-4.0, bias_px_sigma=2.0)
 
+# The detector that ships learned to end its boxes where annotators and simulated hulls end theirs:
+# at the water. What is believed of drawn boxes is believed of it.
+_AT_THE_WATER = (DEFAULT_DETECTOR,)
+
 
 def fit_scene(
     scene: Scene,
@@ -180,14 +184,15 @@ def fit_association(
     plane = scene.plane
     assert plane is not None, "association needs the camera's place"
     landmarks = scene_landmarks(scene, association)
+    pairs = recognised_pairs(association, plane)
     fitted = fit_pairs(
-        recognised_pairs(association, plane),
+        pairs,
         scene,
         model,
         position_known=True,
         image_size_px=scene.image_size_px,
         seed=seed,
-        prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
+        prior=_habit(pairs, landmarks),
         landmarks=landmarks,
     )
     more = list(association.statements)
@@ -276,7 +281,7 @@ def update_scene(
         )
         pairs = recognised_pairs(association, old.plane)
         landmarks = scene_landmarks(scene, association)
-        usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
+        usual = _habit(pairs, landmarks)
         more = association.statements
     turns = moved_since(old, pairs)
     prior = replace(
@@ -327,6 +332,13 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
         asked=sum(map(len, boxes)),
         plane=plane,
     )
+
+
+def _habit(pairs: Pairs, landmarks: Landmarks) -> CameraPrior:
+    """What is believed of how far the boxes end above the water."""
+    if np.isin(pairs.boxes.source, _AT_THE_WATER).all():
+        return CameraPrior()
+    return _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
 
 
 def scene_landmarks(scene: Scene, association: Association) -> Landmarks:
