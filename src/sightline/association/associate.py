@@ -127,7 +127,7 @@ def associate(
         found = matches(watches, explanation, image_size_px)
         evidence = sum(match.gain for match in found)
         evidence -= cost(explanation, largest_offset_s, image_size_px)
-        judged.append(_Judged(explanation, found, evidence))
+        judged.append(_also(refiner, _Judged(explanation, found, evidence), image_size_px))
     judged.sort(key=lambda one: -one.evidence)
     best = judged[0]
     if not best.matches or best.evidence < LEAST_EVIDENCE:
@@ -144,17 +144,19 @@ def associate(
             f"{_offset(best):.0f} s or {_offset(other or best):.0f} s apart; give more recordings, "
             "a log of more turns, or draw boxes"
         )
-    more = _also(refiner, best, image_size_px)
-    return _summary(watches, image_size_px, more, float(runner_up))
+    return _summary(watches, image_size_px, best, float(runner_up))
 
 
-def _also(refiner: Refiner, best: _Judged, image_size_px: tuple[int, int]) -> _Judged:
+def _also(refiner: Refiner, one: _Judged, image_size_px: tuple[int, int]) -> _Judged:
     """The explanation with the vessels that it misses because of their size.
 
     A long hull ends far nearer to the camera than where its receiver is. While nothing was known,
-    room for that would have let in others; with the camera known it does not.
+    room for that would have let in others; with the camera known it does not. Such a vessel counts
+    as any other, less the choice between a short hull and a long one.
     """
-    known = best.explanation
+    if not one.matches:
+        return one
+    known = one.explanation
     state = np.concatenate([known.vector, known.offset_s])
     wide = replace(
         known.noise,
@@ -162,18 +164,20 @@ def _also(refiner: Refiner, best: _Judged, image_size_px: tuple[int, int]) -> _J
         row_m=max(known.noise.row_m, _HULL_ROW_M),
     )
     wider = refiner.explain(state, wide)
-    kept = list(best.matches)
-    standard = [one.copy() for one in known.standard]
+    kept = list(one.matches)
+    evidence = one.evidence
+    standard = [apart.copy() for apart in known.standard]
     for match in matches(refiner.watches, wider, image_size_px):
-        here = [one for one in kept if one.recording == match.recording]
-        if any(one.vessel == match.vessel for one in here):
+        here = [other for other in kept if other.recording == match.recording]
+        if any(other.vessel == match.vessel for other in here):
             continue
-        if any(np.isin(match.rows, one.rows).any() for one in here):
+        if any(np.isin(match.rows, other.rows).any() for other in here):
             continue
         kept.append(match)
+        evidence += match.gain - float(np.log(2.0))
         index = match.recording
         standard[index][match.vessel] = wider.standard[index][match.vessel]
-    return _Judged(replace(known, standard=tuple(standard)), kept, best.evidence)
+    return _Judged(replace(known, standard=tuple(standard)), kept, evidence)
 
 
 def _offset(one: _Judged) -> float:

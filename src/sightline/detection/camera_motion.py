@@ -8,6 +8,7 @@ fraction of a pixel. The median over the strips does not see the boats that pass
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +21,8 @@ from sightline.types import FloatArray, Frame
 _STRIPS = 7
 _HALF_HEIGHT_PX = 32
 _FEWEST = 5
+# By what strips may differ, as a share of what they moved.
+_MOST_APART = 0.3
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,8 @@ class CameraMotionWatch:
     a new one.
 
     Args:
-        horizon_px: Rows of the horizon at the left and the right edge of the image.
+        horizon_px: Rows of the horizon at two or more columns, evenly apart from the left edge of
+            the image to the right one.
         focal_px: Focal length.
         least_deg: Turns that are smaller are not reported.
         lasts_s: A turn counts once it has lasted so long: a gust is none.
@@ -59,7 +63,7 @@ class CameraMotionWatch:
 
     def __init__(
         self,
-        horizon_px: tuple[float, float],
+        horizon_px: Sequence[float] | FloatArray,
         focal_px: float,
         *,
         least_deg: float = 0.2,
@@ -70,10 +74,22 @@ class CameraMotionWatch:
             raise InputError(
                 "camera motion: focal length, least turn and reference must be positive"
             )
-        self._horizon_px, self._focal_px = horizon_px, focal_px
+        rows = np.asarray(horizon_px, dtype=np.float64)
+        if rows.ndim != 1 or rows.size < 2 or not np.isfinite(rows).all():
+            raise InputError(
+                "camera motion: the rows of the horizon must be two or more finite numbers"
+            )
+        at = (np.arange(_STRIPS) + 0.5) / _STRIPS
+        self._row_px = np.interp(at, np.linspace(0.0, 1.0, rows.size), rows)
+        self._focal_px = focal_px
         self._least_px = focal_px * np.radians(least_deg)
         self._lasts_s, self._count = lasts_s, reference_frames
         self.reset()
+
+    @staticmethod
+    def fits(image_size_px: tuple[int, int]) -> bool:
+        """Whether pictures of a size hold strips about their horizon."""
+        return image_size_px[1] >= 2 * _HALF_HEIGHT_PX and image_size_px[0] // _STRIPS >= 16
 
     def reset(self) -> None:
         """Forget the reference: the next frame is of another recording."""
@@ -107,16 +123,21 @@ class CameraMotionWatch:
         if frame.time_utc_s - self._recent[0][0] < self._lasts_s:
             return None
         # Over time and over strips: neither a boat before one of them nor a gust counts.
-        shift = np.median(np.stack([one for _, one in self._recent]), axis=0)
-        return self._turn(frame, shift)
+        return self._turn(frame, np.stack([one for _, one in self._recent]))
 
-    def _turn(self, frame: Frame, shift: FloatArray) -> CameraTurn | None:
+    def _turn(self, frame: Frame, shifts: FloatArray) -> CameraTurn | None:
+        """The turn that (T, S, 2) shifts of the strips in the last pictures tell."""
+        shift = np.median(shifts, axis=0)
         across, down = np.median(shift, axis=0)
         at = (np.arange(_STRIPS) + 0.5) / _STRIPS - 0.5
         pairs = [(i, j) for i in range(_STRIPS) for j in range(i + 1, _STRIPS)]
         slope = float(np.median([(shift[j, 1] - shift[i, 1]) / (at[j] - at[i]) for i, j in pairs]))
         largest = float(max(np.hypot(across, down), 0.5 * abs(slope)))
         if largest < self._least_px:
+            return None
+        # Waves or fog alone move each strip of each picture another way.
+        apart = shifts - np.stack([np.full(_STRIPS, across), down + slope * at], axis=1)
+        if np.median(np.hypot(apart[..., 0], apart[..., 1])) > _MOST_APART * largest:
             return None
         width = self._width
         self.reset()
@@ -133,15 +154,13 @@ class CameraMotionWatch:
     def _strips(self, image_bgr: NDArray[np.uint8]) -> NDArray[np.float32]:
         height, self._width = image_bgr.shape[:2]
         size = self._width // _STRIPS
+        if not self.fits((self._width, height)):
+            raise InputError(
+                f"camera motion: pictures of {self._width} x {height} px are too small"
+            )
         out = []
         for i in range(_STRIPS):
-            share = (i + 0.5) / _STRIPS
-            row = round(self._horizon_px[0] + share * (self._horizon_px[1] - self._horizon_px[0]))
-            top = min(max(row - _HALF_HEIGHT_PX, 0), height - 2 * _HALF_HEIGHT_PX)
-            if top < 0 or size < 16:
-                raise InputError(
-                    f"camera motion: pictures of {self._width} x {height} px are too small"
-                )
+            top = min(max(round(self._row_px[i]) - _HALF_HEIGHT_PX, 0), height - 2 * _HALF_HEIGHT_PX)
             part = image_bgr[top : top + 2 * _HALF_HEIGHT_PX, i * size : (i + 1) * size]
             out.append(cv2.cvtColor(part, cv2.COLOR_BGR2GRAY).astype(np.float32))
         return np.stack(out)

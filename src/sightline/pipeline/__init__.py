@@ -10,6 +10,7 @@ from sightline.pipeline.scoring import (
     score,
     with_forecasts,
 )
+from sightline.pipeline.standing import camera_turns
 from sightline.pipeline.tracking import (
     DEFAULT_TRAJECTORY,
     TrackSettings,
@@ -25,6 +26,7 @@ __all__ = [
     "Progress",
     "RunResult",
     "TrackSettings",
+    "camera_turns",
     "compare",
     "detect",
     "evaluate",

@@ -26,6 +26,7 @@ from sightline.pipeline.boxes import (
     refuse_seldom,
     timed,
 )
+from sightline.pipeline.standing import StandingWatch
 from sightline.platform import Platform, moved_track, north_up
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
@@ -174,6 +175,7 @@ def iter_tracks(
     else:
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = fit_for_use(frames, model, str(source))
+        usable = StandingWatch(model).over(usable, str(source))
         if model.horizon_px is not None:
             watch = HorizonWatch()
             usable = watch.over(usable)
