@@ -41,9 +41,9 @@ MOST_A_RECORDING = 120
 _WITH_EDGE = CameraPrior(bias_px=-3.0, bias_px_sigma=5.0)
 _WITHOUT_EDGE = CameraPrior(bias_px=-4.0, bias_px_sigma=2.0)
 
-# The detector that ships learned to end its boxes where annotators and simulated hulls end theirs:
-# at the water. What is believed of drawn boxes is believed of it.
-_AT_THE_WATER = (DEFAULT_DETECTOR,)
+# The detector that ships was taught to leave 2.5 px of water around a boat, and a share of its
+# height that the fit tells from the range: see its MODEL_CARD.md.
+_TAUGHT = {DEFAULT_DETECTOR: CameraPrior(bias_px=2.5)}
 
 
 def fit_scene(
@@ -200,7 +200,7 @@ def fit_association(
         more.append("The edge of the water in the pictures tells where the horizon is.")
     else:
         more.append(
-            "No edge of the water was seen: how far the detector's boxes end above the water is "
+            "No edge of the water was seen: how far the detector's boxes end off the water is "
             "assumed, and ranges depend on it."
         )
     clocks = {
@@ -335,9 +335,10 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
 
 
 def _habit(pairs: Pairs, landmarks: Landmarks) -> CameraPrior:
-    """What is believed of how far the boxes end above the water."""
-    if np.isin(pairs.boxes.source, _AT_THE_WATER).all():
-        return CameraPrior()
+    """What is believed of how far the boxes end above or below the water."""
+    (source, *others) = np.unique(pairs.boxes.source).tolist() or [""]
+    if source in _TAUGHT and not others:
+        return _TAUGHT[source]
     return _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
 
 

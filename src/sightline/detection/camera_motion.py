@@ -160,7 +160,9 @@ class CameraMotionWatch:
             )
         out = []
         for i in range(_STRIPS):
-            top = min(max(round(self._row_px[i]) - _HALF_HEIGHT_PX, 0), height - 2 * _HALF_HEIGHT_PX)
+            top = min(
+                max(round(self._row_px[i]) - _HALF_HEIGHT_PX, 0), height - 2 * _HALF_HEIGHT_PX
+            )
             part = image_bgr[top : top + 2 * _HALF_HEIGHT_PX, i * size : (i + 1) * size]
             out.append(cv2.cvtColor(part, cv2.COLOR_BGR2GRAY).astype(np.float32))
         return np.stack(out)

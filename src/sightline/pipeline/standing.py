@@ -11,7 +11,7 @@ import numpy as np
 from sightline.detection.camera_motion import CameraMotionWatch, CameraTurn
 from sightline.inference.georeferencer import Georeferencer
 from sightline.scene import Recording
-from sightline.types import Frame, FloatArray
+from sightline.types import FloatArray, Frame
 
 LOOKS_APART_S = 1.0
 """One picture in so long is looked at."""
