@@ -22,6 +22,7 @@ from sightline.pipeline.boxes import (
     timed,
 )
 from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
+from sightline.pipeline.standing import camera_turns
 from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.scene import Recording, Scene
 from sightline.tracking import iou
@@ -115,6 +116,9 @@ def run(
             if _unseen(recording):
                 detected.append(recording.name)
         tracks[recording.name] = Tracks(tuple(made))
+        turned = camera_turns(recording, fitted)
+        if turned is not None:
+            notes.append(turned)
         pairs = _against_log(recording, judged)
         if pairs is not None:
             scored[recording.name] = pairs
