@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
 from sightline.association.horizon import shore_landmarks
@@ -363,13 +365,20 @@ def scene_landmarks(scene: Scene, association: Association) -> Landmarks:
     )
 
 
-def _edge(recording: Recording, camera: Camera, width: int) -> WaterEdge | None:
+# Leaving one recording out at a time asks again and again, and to look at pictures takes long.
+@lru_cache(maxsize=32)
+def _still(recording: Recording, _modified_ns: int) -> NDArray[np.uint8]:
     images = (
         frame.image_bgr
         for i, frame in enumerate(recording.frames())
         if recording.frames_path or i % 25 == 0
     )
-    still = still_picture(images)
+    return still_picture(images)
+
+
+def _edge(recording: Recording, camera: Camera, width: int) -> WaterEdge | None:
+    assert recording.source is not None, "the caller has looked"
+    still = _still(recording, recording.source.stat().st_mtime_ns)
     if still.shape[1] != width:
         return None
     return find_water_edge(still, camera.horizon_y_px(np.arange(float(width))))
