@@ -239,12 +239,11 @@ class Recording:
         """
         if self.horizon_path is None:
             return None
-        frame, lines = formats.read_horizons_csv(self.horizon_path)
         try:
-            times = self.clock().time_utc_s(frame)
+            clock = self.clock()
         except InputError as error:
             raise InputError(f"{self.horizon_path}: {error}") from error
-        return Horizons(times, lines[:, 0], lines[:, 1])
+        return formats.read_horizons_csv(self.horizon_path, clock)
 
     def logs(self) -> tuple[formats.AisVessel, ...]:
         """The logs of whatever may be in view: of one target, or of all vessels of an AIS feed.

@@ -23,7 +23,7 @@ from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
-from sightline.types import Horizons, Track
+from sightline.types import Track
 
 
 def track(
@@ -97,8 +97,7 @@ def track(
             raise InputError(
                 f"{horizon}: names frames, and nothing tells their times; give a clock (--clock)"
             )
-        frame, lines = formats.read_horizons_csv(horizon)
-        horizons = Horizons(times.time_utc_s(frame), lines[:, 0], lines[:, 1])
+        horizons = formats.read_horizons_csv(horizon, times)
     count, points = 0, 0
     with ExitStack() as stack, progress() as tell:
         writers = [stack.enter_context(formats.track_writer(path)) for path in output]

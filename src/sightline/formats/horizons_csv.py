@@ -6,21 +6,18 @@ import os
 
 import numpy as np
 
+from sightline.clock import Clock
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.types import FloatArray, IntArray
+from sightline.types import Horizons
 
 
-def read_horizons_csv(
-    path: str | os.PathLike[str],
-) -> tuple[IntArray, FloatArray]:
+def read_horizons_csv(path: str | os.PathLike[str], clock: Clock) -> Horizons:
     """The rows of the horizon at the left and the right edge of the image, frame by frame.
 
     Args:
         path: A CSV file with ``frame``, ``left_y_px`` and ``right_y_px``.
-
-    Returns:
-        Frames (N,), rising, and rows (N, 2), pixels.
+        clock: Tells the times of the frames.
 
     Raises:
         InputError: A column is missing, a cell is no number, or a frame comes twice.
@@ -34,4 +31,5 @@ def read_horizons_csv(
     twice[order[1:]] = np.diff(frame[order]) == 0
     _files.refuse(path, rows.index, twice, frame, "is a frame that comes twice")
     lines = np.stack([_files.numbers(path, rows[name]) for name in ("left_y_px", "right_y_px")])
-    return frame[order], lines.T[order]
+    left, right = lines[:, order]
+    return Horizons(clock.time_utc_s(frame[order]), left, right)
