@@ -30,6 +30,8 @@ _MOST_FOR_LEARNING = 300
 # So that a block of the kernel stays in the cache.
 _KERNEL_SIZE = 131072
 _BLOCK = 64
+# By how much the variance of a new recording's offset is raised at most for want of recordings.
+_MOST_WIDENED = 3.0
 # Share of the process's variance that predictions may miss of what the training points explain.
 _LOST = 1e-4
 
@@ -134,7 +136,7 @@ class ResidualProcess:
             mean[rows] = kernel @ self._weights
             explained[rows] = self._explained(kernel.astype(np.float32))
         variance = np.maximum(h.amplitude**2 - explained, 0.0)
-        return mean, variance + h.recording**2 + (h.noise * noise) ** 2
+        return mean, variance + self._of_new_recording + (h.noise * noise) ** 2
 
     def _explained(self, kernel: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M,) how much of the variance the training points explain, of (M, N) of the kernel."""
@@ -152,7 +154,19 @@ class ResidualProcess:
         kernel = np.exp(exponent)
         whitened = kernel.astype(np.float32) @ self._whitening
         variance = h.amplitude**2 - float(whitened @ whitened)
-        return float(kernel @ self._weights), max(variance, 0.0) + h.recording**2
+        return float(kernel @ self._weights), max(variance, 0.0) + self._of_new_recording
+
+    @cached_property
+    def _of_new_recording(self) -> float:
+        """The variance of the offset of a recording that was not learned from.
+
+        How much recordings differ was itself estimated from few of them: the offset of another
+        one follows Student's t with about as many degrees of freedom as there were recordings, n,
+        which has n / (n - 2) times the variance.
+        """
+        count = np.unique(self.group).size
+        widened = count / (count - 2.0) if count > 2 else _MOST_WIDENED
+        return float(self.hyperparameters.recording**2 * min(widened, _MOST_WIDENED))
 
     @cached_property
     def _quadratic(self) -> FloatArray:
