@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, t
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
@@ -43,6 +43,11 @@ def covariance(
     )
 
 
+def of_another(group: np.ndarray, h: Hyperparameters = H) -> float:
+    """The variance of another recording's offset: Student's t by the number of those seen."""
+    return float(h.recording**2 * t.var(df=np.unique(group).size))
+
+
 def check_variance(stated: np.ndarray, exact: np.ndarray, amplitude: float) -> None:
     excess = (stated - exact) / amplitude**2
     assert excess.min() > -ROUNDING
@@ -78,7 +83,7 @@ def test_agrees_with_scikit_learn_where_no_two_points_share_a_recording() -> Non
     expected, deviation = reference.predict(new, return_std=True)
     np.testing.assert_allclose(mean, expected, atol=1e-8)
     check_variance(
-        variance, deviation**2 + H.recording**2 + (H.noise * new_noise) ** 2, H.amplitude
+        variance, deviation**2 + of_another(group) + (H.noise * new_noise) ** 2, H.amplitude
     )
 
 
@@ -105,7 +110,7 @@ def test_agrees_with_the_closed_form_with_recordings(h: Hyperparameters) -> None
         mean, across @ np.linalg.solve(whole, targets), atol=1e-6 * h.amplitude
     )
     explained = np.einsum("mn,nm->m", across, np.linalg.solve(whole, across.T))
-    expected = h.amplitude**2 - explained + h.recording**2 + (h.noise * new_noise) ** 2
+    expected = h.amplitude**2 - explained + of_another(group, h) + (h.noise * new_noise) ** 2
     check_variance(variance, expected, h.amplitude)
 
 
@@ -113,7 +118,7 @@ def test_far_from_all_points_only_the_prior_is_left() -> None:
     process = ResidualProcess(*data(), length_scales=SCALES, hyperparameters=H)
     mean, variance = process.predict(np.full((3, 2), 1e3), np.array([0.0, 0.1, 0.4]))
     np.testing.assert_allclose(mean, 0.0, atol=1e-12)
-    expected = H.amplitude**2 + H.recording**2 + (H.noise * np.array([0.0, 0.1, 0.4])) ** 2
+    expected = H.amplitude**2 + of_another(data()[3]) + (H.noise * np.array([0.0, 0.1, 0.4])) ** 2
     np.testing.assert_allclose(variance, expected, rtol=1e-6)
 
 
@@ -194,3 +199,18 @@ def test_too_many_points_are_thinned_evenly_and_the_ends_stay(
     np.testing.assert_array_equal(process.targets, targets[rows])
     np.testing.assert_array_equal(process.noise, noise[rows])
     np.testing.assert_array_equal(process.group, group[rows])
+
+
+@pytest.mark.parametrize(("count", "widened"), [(1, 3.0), (2, 3.0), (3, 3.0), (6, 1.5)])
+def test_fewer_recordings_say_less_of_another(count: int, widened: float) -> None:
+    inputs, targets, noise, _ = data()
+    process = ResidualProcess(
+        inputs,
+        targets,
+        noise,
+        np.arange(len(targets)) % count,
+        length_scales=SCALES,
+        hyperparameters=H,
+    )
+    _, variance = process.predict(np.full((1, 2), 1e3), np.zeros(1))
+    assert variance[0] == pytest.approx(H.amplitude**2 + widened * H.recording**2, rel=1e-12)
