@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from evo.core.metrics import APE, RPE, PoseRelation, StatisticsType, Unit
@@ -273,6 +275,26 @@ def test_coverage_of_true_covariances_is_the_stated_probability() -> None:
     for share, probability in ((found.p50, 0.5), (found.p95, 0.95)):
         low, high = binom.interval(0.9999, n, probability)
         assert low / n <= share <= high / n
+
+
+def test_coverage_with_the_logs_error_is_the_stated_probability_where_the_log_is_off() -> None:
+    n = 20_000
+    exact = gaussian_pairs(n, 1.0, 3)
+    off = np.random.default_rng(4).normal(0.0, 3.0, (2, n))
+    found = coverage(
+        replace(
+            exact,
+            true_east_m=exact.true_east_m + off[0],
+            true_north_m=exact.true_north_m + off[1],
+            log_sigma_m=np.full(n, 3.0),
+        )
+    )
+    assert found.log_sigma_m == pytest.approx(3.0)
+    for share, probability in ((found.p50_with_log, 0.5), (found.p95_with_log, 0.95)):
+        low, high = binom.interval(0.9999, n, probability)
+        assert low / n <= share <= high / n
+    assert found.p50 < 0.4
+    assert found.p95 < 0.85
 
 
 @pytest.mark.parametrize("scale", [0.25, 4.0])

@@ -356,12 +356,12 @@ def errors(along_m, *, covariance=4.0, asked=None, without=0) -> Pairs:
         (errors(np.tile([-3.0, 3.0], 20)), "Errors are 3.00 m along the line of sight and 0.00"),
         (
             errors(np.full(30, 9.0)),
-            "hold 0.0 % of the true positions: the error bars are too small",
+            "hold 0.0 % of the log's positions: the error bars are too small",
         ),
-        (errors(np.full(30, 1.0)), "100 % of the true positions: the error bars are larger"),
+        (errors(np.full(30, 1.0)), "100 % of the log's positions: the error bars are larger"),
         (
             errors(np.r_[np.full(95, 1.0), np.full(5, 9.0)]),
-            "hold 95 % of the true positions: the error bars can be believed",
+            "hold 95 % of the log's positions: the error bars can be believed",
         ),
         (errors(np.full(5, 1.0)), "5 positions are too few to judge"),
         (errors(np.full(30, 1.0), covariance=np.nan), "state no uncertainty"),

@@ -73,7 +73,14 @@ def test_the_json_has_the_keys_that_are_promised(tmp_path) -> None:
         assert {"p50", "p95"} <= set(part["coverage"])
         assert part["ape"]["rmse"] == pytest.approx(3.0, abs=1e-3)
         assert part["rpe"]["rmse"] == pytest.approx(0.0, abs=1e-3)
-        assert part["coverage"] == {"p50": 0.0, "p95": 1.0, "n": part["ape"]["n"]}
+        assert part["coverage"] == {
+            "p50": 0.0,
+            "p95": 1.0,
+            "n": part["ape"]["n"],
+            "log_sigma_m": 0.0,
+            "p50_with_log": 0.0,
+            "p95_with_log": 1.0,
+        }
         assert part["matched"]["share"] == 1.0
         bias = part["bias"]
         assert np.hypot(bias["rmse_along"], bias["rmse_across"]) == pytest.approx(3.0, abs=1e-3)
@@ -92,7 +99,8 @@ def test_what_is_not_known_is_null(tmp_path) -> None:
     empty = json.loads(text)["recordings"]["13"]
     assert empty["ape"] == {key: 0 if key == "n" else None for key in APE_KEYS}
     assert empty["rpe"]["rmse"] is None
-    assert empty["coverage"] == {"p50": None, "p95": None, "n": 0}
+    assert {empty["coverage"][name] for name in ("p50", "p95", "p50_with_log")} == {None}
+    assert empty["coverage"]["n"] == 0
     assert empty["matched"] == {"asked": 0, "matched": 0, "share": None, "without_position": 0}
     assert empty["by_range"] == []
 

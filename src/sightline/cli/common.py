@@ -152,10 +152,16 @@ def parse_time(text: str | None) -> float | None:
 def describe(report: Report, what: str) -> str:
     """A report in a line or two."""
     ape, cover = report.ape, report.coverage
+    with_log = ""
+    if cover.log_sigma_m > 0.0:
+        with_log = (
+            f" ({percent(cover.p95_with_log)} with the log's own error of "
+            f"{number(cover.log_sigma_m)} m)"
+        )
     return (
         f"{what}: {ape.n} pairs, RMSE {number(ape.rmse)} m, median {number(ape.median)} m, "
         f"90 % within {number(ape.p90)} m, {percent(ape.per_range)} of the range; "
-        f"95 % ellipses hold {percent(cover.p95)}"
+        f"95 % ellipses hold {percent(cover.p95)}{with_log}"
     )
 
 

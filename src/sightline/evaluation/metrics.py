@@ -52,6 +52,8 @@ class Pairs:
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
         eye_m: (N, 2) float64, east and north of the camera; absent: at the origin.
+        log_sigma_m: (N,) float64, how far off the log itself is believed to be, east and north;
+            absent: not at all.
 
     Raises:
         InputError: A column is of another length, or a position is not finite.
@@ -67,6 +69,7 @@ class Pairs:
     asked: int
     without_position: int = 0
     eye_m: FloatArray | None = None
+    log_sigma_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = np.size(self.time_utc_s)
@@ -78,6 +81,8 @@ class Pairs:
         self._freeze("segment", np.array(self.segment, dtype=np.int64), (n,))
         eye_m = np.zeros((n, 2)) if self.eye_m is None else self.eye_m
         self._freeze("eye_m", np.array(eye_m, dtype=np.float64), (n, 2))
+        log_sigma_m = np.zeros(n) if self.log_sigma_m is None else self.log_sigma_m
+        self._freeze("log_sigma_m", np.array(log_sigma_m, dtype=np.float64), (n,))
         if self.asked < n:
             raise InputError(f"{n} pairs cannot come from {self.asked} times")
 
@@ -108,11 +113,17 @@ class Pairs:
         return cls(
             **{
                 name: np.concatenate([getattr(part, name) for part in parts])
-                for name in (*columns, "true_north_m", "segment", "eye_m")
+                for name in (*columns, "true_north_m", "segment", "eye_m", "log_sigma_m")
             },
             asked=sum(part.asked for part in parts),
             without_position=sum(part.without_position for part in parts),
         )
+
+    def with_log_error(self) -> Pairs:
+        """The same, with covariances that answer for the log's own error as well."""
+        assert self.log_sigma_m is not None, "filled in where it is absent"
+        of_log = np.square(self.log_sigma_m)[:, None, None] * np.eye(2)
+        return replace(self, covariance_m2=self.covariance_m2 + of_log)
 
     @property
     def error_m(self) -> FloatArray:
@@ -143,6 +154,7 @@ def pair_positions(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
+    log_sigma_m: float = 0.0,
 ) -> Pairs:
     """Single positions beside a log, as one segment.
 
@@ -152,6 +164,7 @@ def pair_positions(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
+        log_sigma_m: How far off the log itself is believed to be, metres east and north.
 
     Raises:
         InputError: There are more times than positions or the reverse.
@@ -172,6 +185,7 @@ def pair_positions(
         asked=times.size,
         without_position=int((log.matched & ~positions.known).sum()),
         eye_m=_eye(platform, times[keep], positions.plane),
+        log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
     )
 
 
@@ -185,6 +199,7 @@ def pair_track(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
+    log_sigma_m: float = 0.0,
 ) -> Pairs:
     """A track beside a log at the track's own times, as one segment.
 
@@ -193,6 +208,7 @@ def pair_track(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
+        log_sigma_m: How far off the log itself is believed to be, metres east and north.
     """
     log = synchronise(fixes, track.time_utc_s, track.plane, largest_gap_s=largest_gap_s)
     keep = log.matched
@@ -206,6 +222,7 @@ def pair_track(
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=len(track),
         eye_m=_eye(platform, track.time_utc_s[keep], track.plane),
+        log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
     )
 
 
@@ -257,17 +274,27 @@ class RelativeError:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often the truth lies inside the stated ellipse; an honest estimate has p50 = 0.5.
+    """How often the log lies inside the stated ellipse; an honest estimate has p50 = 0.5.
+
+    Ellipses are about the target itself, and a log is off as well. Where it is known by how much,
+    an honest estimate has ``p50_with_log`` = 0.5, and ``p50`` below.
 
     Attributes:
-        p50: Share of true positions inside the stated 50 % ellipse; NaN where none is stated.
+        p50: Share of the log's positions inside the stated 50 % ellipse; NaN where none is stated.
         p95: The same of the 95 % ellipse.
         n: Pairs that state a covariance.
+        log_sigma_m: How far off the log itself is believed to be, metres east and north, root mean
+            square; 0 where nobody says.
+        p50_with_log: As ``p50``, of ellipses that answer for the log's own error as well.
+        p95_with_log: The same of the 95 % ellipse.
     """
 
     p50: float
     p95: float
     n: int
+    log_sigma_m: float
+    p50_with_log: float
+    p95_with_log: float
 
 
 @dataclass(frozen=True)
@@ -462,9 +489,18 @@ def covered(pairs: Pairs, probability: ArrayLike) -> FloatArray:
 
 def coverage(pairs: Pairs) -> Coverage:
     """How often the truth lies inside the stated 50 % and 95 % ellipses."""
+    assert pairs.log_sigma_m is not None, "filled in where it is absent"
     p50, p95 = covered(pairs, (0.5, 0.95))
+    p50_with_log, p95_with_log = covered(pairs.with_log_error(), (0.5, 0.95))
     stated = np.isfinite(pairs.covariance_m2).all(axis=(1, 2))
-    return Coverage(p50=float(p50), p95=float(p95), n=int(stated.sum()))
+    return Coverage(
+        p50=float(p50),
+        p95=float(p95),
+        n=int(stated.sum()),
+        log_sigma_m=float(np.sqrt(_mean(pairs.log_sigma_m[stated] ** 2))) if stated.any() else 0.0,
+        p50_with_log=float(p50_with_log),
+        p95_with_log=float(p95_with_log),
+    )
 
 
 def line_of_sight_errors(pairs: Pairs) -> tuple[FloatArray, FloatArray]:

@@ -248,10 +248,16 @@ def _about_bias(report: Report) -> list[str]:
 
 
 def _about_coverage(report: Report) -> str:
-    held, n = report.coverage.p95, report.coverage.n
+    coverage, n = report.coverage, report.coverage.n
     if n == 0:
         return "The positions state no uncertainty, so there is none to check."
-    share = f"The stated 95 % ellipses hold {percent(held)} of the true positions"
+    held = coverage.p95_with_log
+    share = f"The stated 95 % ellipses hold {percent(coverage.p95)} of the log's positions"
+    if coverage.log_sigma_m > 0.0:
+        share += (
+            f", {percent(held)} with the log's own error of {number(coverage.log_sigma_m)} m in "
+            "them"
+        )
     if n < _FEWEST_TO_JUDGE:
         return f"{share}; {n} positions are too few to judge them by."
     if held < 0.90:
@@ -314,7 +320,13 @@ def _headline(page: ReportPage) -> list[_Tile]:
     ]
     if report.coverage.n:
         tiles.append(
-            _Tile("in the 95 % ellipse", percent(report.coverage.p95), "95 % would be honest")
+            _Tile(
+                "in the 95 % ellipse",
+                percent(report.coverage.p95_with_log),
+                "95 % would be honest"
+                if report.coverage.log_sigma_m == 0.0
+                else "95 % would be honest; the log's own error counts",
+            )
         )
     return tiles
 

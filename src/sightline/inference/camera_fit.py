@@ -805,7 +805,9 @@ class _Problem:
             bounds=list(zip(centre - 4.0 * width, centre + 4.0 * width, strict=True)),
             options={"maxiter": 25, "ftol": 1e-6},
         )
-        return PixelNoise(*np.exp(best.x).tolist())
+        estimated = PixelNoise(*np.exp(best.x).tolist())
+        # Where no two fixes are near in time nobody can tell what lasts.
+        return estimated if self.blocks else replace(estimated, drift_m=0.0)
 
     def summarise(
         self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int

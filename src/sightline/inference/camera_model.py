@@ -158,7 +158,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             self.image_size_px,
             n_sources=len(self.sources_),
             prior=self.prior,
-            noise=PixelNoise() if n == 0 else None,
+            noise=PixelNoise(drift_m=0.0) if n == 0 else None,
             position_known=self.position_known,
             starts=self.starts,
             seed=self.random_state,

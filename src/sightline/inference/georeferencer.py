@@ -199,6 +199,17 @@ class Georeferencer:
         """The camera, where the model has one."""
         return self.regressor.camera_ if isinstance(self.regressor, CameraRegressor) else None
 
+    @property
+    def log_sigma_m(self) -> float:
+        """How far off the logs that it learned from were, metres east and north.
+
+        The part that lasts: what changes from fix to fix cannot be told from the boxes' own noise,
+        and is part of each position's covariance. 0 where the model does not tell the two apart.
+        """
+        if not isinstance(self.regressor, CameraRegressor):
+            return 0.0
+        return self.regressor.fit_.noise.drift_m
+
     def locate(self, boxes_xyxy_px: ArrayLike, source: ArrayLike | None = None) -> Positions:
         """Where boxes lie.
 

@@ -98,7 +98,13 @@ class Placed:
         if self.platform is not None:
             pose = self.platform.pose(self.boxes.time_utc_s, self.model.plane)
             positions = moved_positions(north_up(positions, pose), pose)
-        return pair_positions(self.boxes.time_utc_s, positions, self.fixes, platform=self.platform)
+        return pair_positions(
+            self.boxes.time_utc_s,
+            positions,
+            self.fixes,
+            platform=self.platform,
+            log_sigma_m=self.model.log_sigma_m,
+        )
 
     def track(self, trajectory: str) -> Track | None:
         """The trajectory of the boxes, at their times."""
@@ -167,7 +173,9 @@ def score(
             made = one.track(trajectory)
             if made is None:
                 continue
-            pairs = pair_track(made, one.fixes, platform=one.platform)
+            pairs = pair_track(
+                made, one.fixes, platform=one.platform, log_sigma_m=one.model.log_sigma_m
+            )
         if len(pairs):
             parts[one.recording] = pairs
     if not parts:

@@ -119,7 +119,7 @@ def run(
         turned = camera_turns(recording, fitted)
         if turned is not None:
             notes.append(turned)
-        pairs = _against_log(recording, judged)
+        pairs = _against_log(recording, judged, held.log_sigma_m)
         if pairs is not None:
             scored[recording.name] = pairs
     placed: list[Placed] = []
@@ -230,9 +230,11 @@ def track_recording(
 
 
 def _against_log(
-    recording: Recording, tracks: list[Track]
+    recording: Recording, tracks: list[Track], log_sigma_m: float
 ) -> tuple[ScoredPairs, TracksUsed] | None:
     if recording.fixes_path is None:
         return None
-    pairs, used = pair_target(tracks, recording.fixes(), platform=recording.platform())
+    pairs, used = pair_target(
+        tracks, recording.fixes(), platform=recording.platform(), log_sigma_m=log_sigma_m
+    )
     return (pairs, used) if len(pairs) else None
