@@ -64,23 +64,63 @@ def test_without_water_there_is_no_edge():
     assert find_water_edge(still_picture(i.astype(np.uint8) for i in flat), expected) is None
 
 
-def test_landmarks_lie_where_the_camera_sees_the_shore_within_what_they_state():
-    bearing = np.radians(75.0 + np.linspace(-30.0, 30.0, 61))
-    shore = 2500.0 * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
-    pixel = CAMERA.project(shore[:, 0], shore[:, 1])
+BEARING = np.radians(75.0 + np.linspace(-30.0, 30.0, 61))
+TOWARD = np.stack([np.sin(BEARING), np.cos(BEARING)], axis=1)
+EARTH_M = 6.371e6 * 7.0 / 6.0
+
+
+def places(*distances_m):
+    """Logged places in all directions of the view, at some distances."""
+    return np.concatenate([distance * TOWARD for distance in distances_m])
+
+
+def edge_of(shore_m):
+    """The edge of the water, where the shore lies so far away on an earth that is round."""
+    drop = CAMERA.height_m / shore_m + 0.5 * shore_m / EARTH_M
+    pixel = CAMERA.project(*(CAMERA.height_m / drop * TOWARD).T)
     inside = np.isfinite(pixel[:, 0]) & (pixel[:, 0] > 0) & (pixel[:, 0] < 1280)
-    edge = WaterEdge(pixel[inside, 0], pixel[inside, 1], 1.0)
-    afloat = 1500.0 * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
-    marks = shore_landmarks(edge, CAMERA, [afloat])
-    assert len(marks) >= 3
-    again = CAMERA.project(marks.east_north_m[:, 0], marks.east_north_m[:, 1])
-    # Half a pixel: the row of what lies anywhere beyond 1500 m, before a camera of 4 m.
-    half_a_row = 950.0 * 4.0 / 1500.0 / 2.0
-    assert np.abs(again[:, 1] - marks.pixel_px[:, 1]).max() < half_a_row
-    assert np.abs(again[:, 0] - marks.pixel_px[:, 0]).max() < 30.0
-    assert (marks.sigma_m > 1000.0).all()
+    return WaterEdge(pixel[inside, 0], pixel[inside, 1], 1.0)
+
+
+def rows_off(marks):
+    """By how many pixels the camera sees landmarks off their rows, and what they state of it."""
+    east, north = marks.east_north_m.T
+    seen = CAMERA.project(east, north)
+    assert np.abs(seen[:, 0] - marks.pixel_px[:, 0]).max() < 30.0
+    away = np.hypot(east, north)
+    below = CAMERA.project(*((1.0 - 1e-3) * marks.east_north_m).T)[:, 1] - seen[:, 1]
+    return seen[:, 1] - marks.pixel_px[:, 1], below / (1e-3 * away) * marks.sigma_m
+
+
+def test_landmarks_lie_where_the_camera_sees_the_shore_within_what_they_state():
+    for shore_m in (1600.0, 2500.0, 7000.0):
+        marks = shore_landmarks([edge_of(shore_m)], CAMERA, [places(80, 150, 280, 500, 900, 1500)])
+        assert len(marks) >= 3
+        off_px, sigma_px = rows_off(marks)
+        # What is equally likely anywhere is at most sqrt(3) standard deviations off, and the shape
+        # of a part of the edge takes a tenth of a pixel.
+        assert (np.abs(off_px) < np.sqrt(3.0) * sigma_px + 0.1).all()
+        # Beyond 1500 m, before a camera of 4 m: from 1.0 to 2.6 px below the horizon.
+        assert np.abs(sigma_px - 1.6 / np.sqrt(12.0)).max() < 0.1
+
+
+def test_behind_a_headland_a_log_does_not_say_that_there_is_water_before_it():
+    # The vessel left the view at 280 m, and was next logged at 6 km, behind land 700 m away.
+    marks = shore_landmarks([edge_of(700.0)], CAMERA, [places(80, 150, 280, 6000)])
+    off_px, sigma_px = rows_off(marks)
+    assert (np.abs(off_px) < np.sqrt(3.0) * sigma_px + 0.1).all()
+    assert (sigma_px > 3.0).all()
+
+
+def test_many_pictures_of_one_shore_tell_no_more_of_its_distance_than_one():
+    logs = [places(80, 150, 280, 500, 900, 1500)]
+    one = shore_landmarks([edge_of(2500.0)], CAMERA, logs)
+    many = shore_landmarks([edge_of(2500.0)] * 10, CAMERA, logs)
+    assert len(many) == len(one)
+    np.testing.assert_allclose(many.sigma_m, one.sigma_m, rtol=0.05)
 
 
 def test_a_shore_that_may_be_near_tells_nothing():
     edge = WaterEdge(np.linspace(10, 1270, 50), np.full(50, 420.0), 1.0)
-    assert len(shore_landmarks(edge, CAMERA, [np.array([[60.0, 20.0]])])) == 0
+    assert len(shore_landmarks([edge], CAMERA, [np.array([[60.0, 20.0]])])) == 0
+    assert len(shore_landmarks([], CAMERA, [places(80, 150, 280, 500, 900, 1500)])) == 0

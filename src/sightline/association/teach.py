@@ -347,22 +347,14 @@ def _habit(pairs: Pairs, landmarks: Landmarks) -> CameraPrior:
 def scene_landmarks(scene: Scene, association: Association) -> Landmarks:
     """What the edge of the water in the recordings' pictures tells; none where it is not seen."""
     width = scene.image_size_px[0]
-    parts: list[Landmarks] = []
+    edges = [
+        edge
+        for name in association.offset_s
+        if scene[name].source is not None
+        and (edge := _edge(scene[name], association.camera, width)) is not None
+    ]
     afloat = [path.east_north_m for watch in association.watches for path in watch.paths]
-    for name in association.offset_s:
-        recording = scene[name]
-        if recording.source is None:
-            continue
-        edge = _edge(recording, association.camera, width)
-        if edge is not None:
-            parts.append(shore_landmarks(edge, association.camera, afloat))
-    if not parts:
-        return Landmarks.none()
-    return Landmarks(
-        np.concatenate([part.pixel_px for part in parts]),
-        np.concatenate([part.east_north_m for part in parts]),
-        np.concatenate([part.sigma_m for part in parts]),
-    )
+    return shore_landmarks(edges, association.camera, afloat)
 
 
 # Leaving one recording out at a time asks again and again, and to look at pictures takes long.
