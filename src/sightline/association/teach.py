@@ -14,12 +14,19 @@ from sightline.association.horizon import shore_landmarks
 from sightline.association.observations import observe
 from sightline.association.paths import LoggedPath
 from sightline.association.search import Watch
-from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections, check_detector_name
+from sightline.detection import (
+    DEFAULT_DETECTOR,
+    LowerEdge,
+    Progress,
+    SceneDetections,
+    check_detector_name,
+    lower_edges_of,
+)
 from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import Camera
-from sightline.inference.camera_fit import CameraPrior
+from sightline.inference.camera_fit import CameraPrior, SourceBelief
 from sightline.inference.georeferencer import (
     DEFAULT_MODEL,
     MODELS,
@@ -43,9 +50,11 @@ MOST_A_RECORDING = 120
 _WITH_EDGE = CameraPrior(bias_px=-3.0, bias_px_sigma=5.0)
 _WITHOUT_EDGE = CameraPrior(bias_px=-4.0, bias_px_sigma=2.0)
 
-# The detector that ships was taught to leave 2.5 px of water around a boat, and a share of its
-# height that the fit tells from the range: see its MODEL_CARD.md.
-_TAUGHT = {DEFAULT_DETECTOR: CameraPrior(bias_px=2.5)}
+# Of some detectors it was measured on rendered boats; so much may real ones differ from these, px
+# and as a share of what the height of the boat makes.
+_UNLIKE_RENDERED_PX = 1.0
+_UNLIKE_RENDERED_SHARE = 0.5
+_LEAST_SIGMA_M = 0.1
 
 
 def fit_scene(
@@ -91,6 +100,8 @@ def fit_scene(
     )
     if drawn or not able:
         return fit(scene, model, seed=seed, extra=extra)
+    if seen is None and detector is not None:
+        seen = SceneDetections(scene, detector, progress)
     association = associate_scene(
         scene,
         detector=detector,
@@ -98,7 +109,9 @@ def fit_scene(
         largest_offset_s=largest_offset_s,
         progress=progress,
     )
-    return fit_association(scene, association, model, seed=seed)
+    return fit_association(
+        scene, association, model, seed=seed, lower_edges=seen.lower_edges if seen else None
+    )
 
 
 def associate_scene(
@@ -170,7 +183,12 @@ def associate_scene(
 
 
 def fit_association(
-    scene: Scene, association: Association, model: str = DEFAULT_MODEL, *, seed: int = 0
+    scene: Scene,
+    association: Association,
+    model: str = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    lower_edges: Mapping[str, LowerEdge | None] | None = None,
 ) -> Georeferencer:
     """Learn a georeferencer from what was recognised.
 
@@ -179,6 +197,7 @@ def fit_association(
         association: Of the scene.
         model: One of `MODELS`.
         seed: Of whatever is random in the fit.
+        lower_edges: Where the boxes of each source end, as `SceneDetections` tells.
 
     Raises:
         FitError: There are too few boxes.
@@ -187,6 +206,7 @@ def fit_association(
     assert plane is not None, "association needs the camera's place"
     landmarks = scene_landmarks(scene, association)
     pairs = recognised_pairs(association, plane)
+    beliefs = _measured(pairs, association.camera, lower_edges)
     fitted = fit_pairs(
         pairs,
         scene,
@@ -194,8 +214,9 @@ def fit_association(
         position_known=True,
         image_size_px=scene.image_size_px,
         seed=seed,
-        prior=_habit(pairs, landmarks),
+        prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
         landmarks=landmarks,
+        beliefs=beliefs,
     )
     more = list(association.statements)
     if len(landmarks):
@@ -261,6 +282,7 @@ def update_scene(
             f"{old.image_size_px} px; fit anew"
         )
     landmarks = Landmarks.none()
+    beliefs: dict[str, SourceBelief] = {}
     more: tuple[str, ...] = ()
     if any(r.boxes_path and r.fixes_path for r in scene.recordings):
         pairs = scene_pairs(scene, old.plane)
@@ -274,6 +296,8 @@ def update_scene(
                 longitude_deg=old.plane.longitude_deg,
             ),
         )
+        if seen is None and detector is not None:
+            seen = SceneDetections(moved_scene, detector, progress)
         association = associate_scene(
             moved_scene,
             detector=detector,
@@ -283,7 +307,8 @@ def update_scene(
         )
         pairs = recognised_pairs(association, old.plane)
         landmarks = scene_landmarks(scene, association)
-        usual = _habit(pairs, landmarks)
+        usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
+        beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
     turns = moved_since(old, pairs)
     prior = replace(
@@ -300,6 +325,7 @@ def update_scene(
         seed=seed,
         prior=prior,
         landmarks=landmarks,
+        beliefs=beliefs,
     )
     said = [
         f"The camera was turned: from recording {turn.recording} on by {turn.heading_deg:+.2f} "
@@ -336,12 +362,34 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
     )
 
 
-def _habit(pairs: Pairs, landmarks: Landmarks) -> CameraPrior:
-    """What is believed of how far the boxes end above or below the water."""
-    (source, *others) = np.unique(pairs.boxes.source).tolist() or [""]
-    if source in _TAUGHT and not others:
-        return _TAUGHT[source]
-    return _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
+def _measured(
+    pairs: Pairs, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
+) -> dict[str, SourceBelief]:
+    """What is believed of the boxes of detectors whose lower edge was measured.
+
+    A share of the boat's height is metres at the boat, as many as it is high.
+    """
+    known = dict(lower_edges or {})
+    names = np.unique(pairs.boxes.source).tolist()
+    if DEFAULT_DETECTOR in names and DEFAULT_DETECTOR not in known:
+        # A table of what it found may be all that there is.
+        known |= lower_edges_of(DEFAULT_DETECTOR)
+    away = pairs.east_north_m - (camera.east_m, camera.north_m)
+    slant_m = np.hypot(np.hypot(away[:, 0], away[:, 1]), camera.height_m)
+    height_px = pairs.boxes.xyxy_px[:, 3] - pairs.boxes.xyxy_px[:, 1]
+    out = {}
+    for name in names:
+        edge = known.get(name)
+        if edge is None:
+            continue
+        rows = pairs.boxes.source == name
+        boat_m = float(np.median(edge.hull_px(height_px[rows]) * slant_m[rows])) / camera.focal_px
+        below_m = edge.share * boat_m
+        out[name] = SourceBelief(
+            bias_px=(edge.px, float(np.hypot(edge.spread_px, _UNLIKE_RENDERED_PX))),
+            bias_m=(-below_m, max(_UNLIKE_RENDERED_SHARE * abs(below_m), _LEAST_SIGMA_M)),
+        )
+    return out
 
 
 def scene_landmarks(scene: Scene, association: Association) -> Landmarks:

@@ -7,7 +7,14 @@ from sightline.detection.by_name import (
     detector_by_name,
 )
 from sightline.detection.detector import Detector
-from sightline.detection.looking import Progress, SceneDetections, detect, frame_count
+from sightline.detection.looking import (
+    Progress,
+    SceneDetections,
+    detect,
+    frame_count,
+    lower_edges_of,
+)
+from sightline.detection.metadata import LowerEdge
 from sightline.detection.motion import MotionDetector, MotionSettings
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.detection.views import VIEWS, View, ViewSettings
@@ -18,6 +25,7 @@ __all__ = [
     "VIEWS",
     "Detector",
     "DetectorOptions",
+    "LowerEdge",
     "MotionDetector",
     "MotionSettings",
     "OnnxDetector",
@@ -29,4 +37,5 @@ __all__ = [
     "detect",
     "detector_by_name",
     "frame_count",
+    "lower_edges_of",
 ]

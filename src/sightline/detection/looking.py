@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from sightline import video
 from sightline.detection.by_name import DEFAULT_DETECTOR, detector_by_name
 from sightline.detection.detector import Detector
+from sightline.detection.metadata import LowerEdge
+from sightline.detection.onnx import OnnxDetector
 from sightline.errors import InputError
 from sightline.scene import Recording, Scene
 from sightline.types import Boxes, FloatArray, Frame
@@ -80,6 +82,19 @@ def usable(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Ite
         yield frame
 
 
+def lower_edges_of(detector: str) -> dict[str, LowerEdge | None]:
+    """Where a detector's boxes end, by the name of their source.
+
+    Args:
+        detector: As `detector_by_name` takes it.
+
+    Raises:
+        InputError: The detector is not known.
+    """
+    made = detector_by_name(detector)
+    return {made.name: made.lower_edge} if isinstance(made, OnnxDetector) else {}
+
+
 class SceneDetections:
     """What a detector finds in the pictures of a scene, each recording looked at once."""
 
@@ -97,11 +112,16 @@ class SceneDetections:
             InputError: The detector is not known.
         """
         # Unknown names are told before the work begins.
-        detector_by_name(detector)
+        self._lower_edges = lower_edges_of(detector)
         self._scene = scene
         self._detector = detector
         self._tell = progress or (lambda _what, _share: None)
         self._found: dict[str, tuple[Boxes, FloatArray]] = {}
+
+    @property
+    def lower_edges(self) -> Mapping[str, LowerEdge | None]:
+        """Where the boxes of each source end, as far as the detectors' files tell."""
+        return self._lower_edges
 
     def boxes(self, recording: Recording) -> Boxes:
         """The boxes in a recording's pictures, with their times.

@@ -11,10 +11,12 @@ import json
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sightline.detection.views import ViewSettings
 from sightline.errors import InputError
+from sightline.types import FloatArray
 
 KEY = "sightline"
 """The key of the metadata under which the JSON object lies."""
@@ -61,6 +63,24 @@ class InputFormat(_Table):
     centred: bool = False
 
 
+class LowerEdge(_Table):
+    """How far below the water at the hull the boxes of a detector end, as a rule.
+
+    Attributes:
+        px: Pixels; negative where they end above it.
+        share: And this share of the height of what is seen of the boat.
+        spread_px: Standard deviation, from one place and day to another.
+    """
+
+    px: float
+    share: float = 0.0
+    spread_px: Annotated[float, Field(gt=0.0)] = 1.0
+
+    def hull_px(self, box_height_px: FloatArray) -> FloatArray:
+        """How high boats are of which the boxes are so high, with as much left above as below."""
+        return np.maximum((box_height_px - 2.0 * self.px) / (1.0 + 2.0 * self.share), 0.0)
+
+
 class DetectorMetadata(_Table):
     """What a file of this project says of its detector; keys that are not known are passed over.
 
@@ -76,6 +96,7 @@ class DetectorMetadata(_Table):
             None: 1.
         score_threshold: Least confidence of a box; None: the usual one.
         views: Which parts of a frame it is made to look at; None: the usual ones.
+        lower_edge: Where its boxes end; None: nobody has measured it.
     """
 
     format: int = FORMAT
@@ -87,6 +108,7 @@ class DetectorMetadata(_Table):
     scale_xy: tuple[float, ...] | None = None
     score_threshold: Share | None = None
     views: ViewSettings | None = None
+    lower_edge: LowerEdge | None = None
 
     @model_validator(mode="after")
     def _known_defaults(self) -> DetectorMetadata:

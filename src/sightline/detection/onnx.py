@@ -16,7 +16,12 @@ from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.horizon import HorizonFinder
 from sightline.detection.letterbox import Letterbox
-from sightline.detection.metadata import InputFormat, read_metadata, ultralytics_names
+from sightline.detection.metadata import (
+    InputFormat,
+    LowerEdge,
+    read_metadata,
+    ultralytics_names,
+)
 from sightline.detection.views import (
     Horizon,
     View,
@@ -154,6 +159,7 @@ class OnnxDetector:
         )
         settings = self._options.views or (metadata.views if metadata else None)
         self._view_settings = settings or ViewSettings()
+        self.lower_edge: LowerEdge | None = metadata.lower_edge if metadata else None
         self._given_horizon_px = horizon_px
         self.reset()
 

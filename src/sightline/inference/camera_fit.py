@@ -12,6 +12,7 @@ which those were.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -162,6 +163,19 @@ class CameraPrior:
                 + [self.clock_sigma_s] * n_clocks
             ),
         )
+
+
+@dataclass(frozen=True)
+class SourceBelief:
+    """What is believed of one source of boxes before any data, instead of what a prior says of all.
+
+    Attributes:
+        bias_px: Mean and standard deviation.
+        bias_m: Mean and standard deviation.
+    """
+
+    bias_px: tuple[float, float]
+    bias_m: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -339,6 +353,7 @@ def fit_camera(
     *,
     n_sources: int,
     prior: CameraPrior | None = None,
+    beliefs: Mapping[int, SourceBelief] | None = None,
     noise: PixelNoise | None = None,
     position_known: bool = True,
     starts: int = 8,
@@ -351,6 +366,7 @@ def fit_camera(
         image_size_px: Width and height.
         n_sources: How many sources of boxes there are.
         prior: Beliefs about the camera; absent: those of an ordinary camera.
+        beliefs: About single sources, where more is known of them than the prior says.
         noise: Noise of a foot, taken as known; absent: estimated from the residuals.
         position_known: Whether the origin of the plane is where the camera is said to stand.
         starts: How many random starting cameras, the first at the prior's mean.
@@ -362,10 +378,12 @@ def fit_camera(
     _check_enough(sightings)
     prior = prior or CameraPrior()
     chosen = thinned(sightings.time_s, sightings.group)
-    everything = _Problem(sightings, image_size_px, n_sources, prior, position_known)
+    everything = _Problem(sightings, image_size_px, n_sources, prior, position_known, beliefs)
     problem = everything
     if chosen.size < len(sightings):
-        problem = _Problem(sightings[chosen], image_size_px, n_sources, prior, position_known)
+        problem = _Problem(
+            sightings[chosen], image_size_px, n_sources, prior, position_known, beliefs
+        )
     found: list[tuple[float, FloatArray]] = []
     assumed = noise or PixelNoise()
     for start in problem.starts(max(starts, 1), np.random.default_rng(seed)):
@@ -451,6 +469,7 @@ class _Problem:
         n_sources: int,
         prior: CameraPrior,
         position_known: bool,
+        beliefs: Mapping[int, SourceBelief] | None,
     ) -> None:
         self.sightings = sightings
         self.image_size_px = image_size_px
@@ -465,6 +484,10 @@ class _Problem:
         self.mean, self.sigma = prior.moments(
             image_size_px, n_sources, self.clock_groups.size, position_known=position_known
         )
+        for source, belief in (beliefs or {}).items():
+            at = FIRST_SOURCE + len(SOURCE_PARAMETERS) * source
+            own = np.array([belief.bias_px, belief.bias_m])
+            self.mean[at : at + 2], self.sigma[at : at + 2] = own.T
         self.held = np.isfinite(self.sigma)
         self.size = self.mean.size
         self.timed = np.isfinite(sightings.time_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
@@ -28,6 +29,7 @@ from sightline.inference.camera_fit import (
     CameraPrior,
     PixelNoise,
     Sightings,
+    SourceBelief,
     fit_camera,
 )
 from sightline.inference.estimator import Arrays, Settings
@@ -70,6 +72,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     Attributes:
         fit_: The fitted camera and its uncertainty, a `CameraFit`.
         sources_: Names of the sources of boxes, in the order of their biases.
+        believed_: Those of them of which more was believed than the prior says.
         range_process_: Residual of the log-range, or None.
         bearing_process_: Residual of the bearing, radians, or None.
     """
@@ -103,6 +106,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         control_px: ArrayLike | None = None,
         control_east_north_m: ArrayLike | None = None,
         control_sigma_m: ArrayLike | None = None,
+        beliefs: Mapping[str, SourceBelief] | None = None,
     ) -> Self:
         """Learn from boxes and control points.
 
@@ -117,6 +121,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             control_px: (M, 2) pixels of control points.
             control_east_north_m: (M, 2) metres.
             control_sigma_m: (M,) how far off each may lie; absent: `CONTROL_POINT_SIGMA_M`.
+            beliefs: About the habits of sources, by their names; others have the prior's.
 
         Raises:
             FitError: The pairs are too few, or all in one place.
@@ -153,11 +158,17 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             time_s=np.concatenate([times, np.full(m, np.nan)]),
             width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
         )
+        self.believed_ = tuple(name for name in self.sources_ if name in (beliefs or {}))
         self.fit_ = fit_camera(
             sightings,
             self.image_size_px,
             n_sources=len(self.sources_),
             prior=self.prior,
+            beliefs={
+                self.sources_.index(name): belief
+                for name, belief in (beliefs or {}).items()
+                if name in self.believed_
+            },
             noise=PixelNoise(drift_m=0.0) if n == 0 else None,
             position_known=self.position_known,
             starts=self.starts,
@@ -188,7 +199,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         Args:
             X: (N, 4) boxes, pixels.
             source: (N,) str or one for all, who made the boxes. A source that was not learned
-                from counts as unbiased, with the uncertainty of a bias that nobody knows.
+                from counts as `bias` says.
             return_cov: Whether to return covariances too.
             return_shared: Whether to return, besides, the part of them that a target has in
                 common with itself a moment later: all but the noise of the box.
@@ -238,27 +249,34 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
         The covariance is (13, 13): the camera's nine parameters, the target's two, and the two of
         the bias. A source that was not learned from is one more draw from where the known ones came
-        from: their spread, and what is believed of sources, say how far off it may be.
+        from: their mean, shrunk to zero as few of them tell little, and their spread say where it
+        may be. What the prior believes of all sources learned from, as being of one kind, is not
+        handed on; what was believed of one of them alone is.
         """
         fit, prior = self.fit_, self.prior or CameraPrior()
         name = self.sources_[0] if not source and len(self.sources_) == 1 else source
+        each = len(SOURCE_PARAMETERS)
         if name in self.sources_:
-            first = FIRST_SOURCE + len(SOURCE_PARAMETERS) * self.sources_.index(name)
+            first = FIRST_SOURCE + each * self.sources_.index(name)
             chosen = [*range(FIRST_SOURCE), first, first + 1]
             return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
-        covariance = np.zeros((FIRST_SOURCE + 2, FIRST_SOURCE + 2))
-        covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
+        count = len(self.sources_)
+        weight = 1.0 / (_UNSEEN_WEIGHT + count)
+        known = slice(FIRST_SOURCE, FIRST_SOURCE + each * count)
+        biases = fit.vector[known].reshape(-1, each).copy()
+        biases[[name not in self.believed_ for name in self.sources_], 0] -= prior.bias_px
+        mean = weight * biases.sum(axis=0)
+        # The mean moves with the camera, as the known ones' biases do.
+        made = np.zeros((FIRST_SOURCE + each, fit.vector.size))
+        made[:FIRST_SOURCE, :FIRST_SOURCE] = np.eye(FIRST_SOURCE)
+        made[FIRST_SOURCE:, known] = np.tile(weight * np.eye(each), count)
+        covariance = made @ fit.covariance @ made.T
         expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
-        first, count = FIRST_SOURCE, len(self.sources_)
-        known = slice(first, first + len(SOURCE_PARAMETERS) * count)
-        squares = (fit.vector[known] ** 2 + np.diag(fit.covariance)[known]).reshape(
-            -1, len(SOURCE_PARAMETERS)
-        )
-        spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
-        covariance[first, first], covariance[first + 1, first + 1] = spread / (
-            _UNSEEN_WEIGHT + count
-        )
-        return np.zeros(2), covariance
+        squares = np.sum((biases - mean) ** 2, axis=0)
+        squares += np.diag(fit.covariance)[known].reshape(-1, each).sum(axis=0)
+        spread = weight * (_UNSEEN_WEIGHT * (expected**2 + mean**2) + squares)
+        covariance[FIRST_SOURCE:, FIRST_SOURCE:] += np.diag(spread)
+        return mean, covariance
 
     def _prepare(self) -> None:
         """What every prediction needs, once: the camera, and each source's bias."""
@@ -452,6 +470,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "residual": self.residual,
             "position_known": self.position_known,
             "sources": list(self.sources_),
+            "believed": list(self.believed_),
             "noise": {name: getattr(fit.noise, name) for name in fit.noise.__dataclass_fields__},
             "prior": {name: getattr(self.prior, name) for name in CameraPrior.__dataclass_fields__}
             if self.prior
@@ -496,6 +515,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             position_known=bool(settings["position_known"]),
         )
         model.sources_ = tuple(settings["sources"])
+        model.believed_ = tuple(settings.get("believed", ()))
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
         size = FIRST_SOURCE + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)

@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
-from sightline.inference.camera_fit import FIRST_SOURCE, TARGET_PARAMETERS, CameraPrior
+from sightline.inference.camera_fit import (
+    FIRST_SOURCE,
+    TARGET_PARAMETERS,
+    CameraPrior,
+    SourceBelief,
+)
 from sightline.inference.camera_model import CONTROL_POINT_SIGMA_M, CameraRegressor
 from sightline.inference.levelling import level, nominal_camera, scene_horizons
 from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
@@ -376,6 +381,7 @@ def fit_pairs(
     seed: int = 0,
     prior: CameraPrior | None = None,
     landmarks: Landmarks | None = None,
+    beliefs: Mapping[str, SourceBelief] | None = None,
 ) -> Georeferencer:
     """Learn a georeferencer from pairs, control points and landmarks; see `fit`."""
     far = Landmarks.none() if landmarks is None else landmarks
@@ -412,6 +418,7 @@ def fit_pairs(
             control_sigma_m=np.concatenate(
                 [np.full(len(control), CONTROL_POINT_SIGMA_M), far.sigma_m]
             ),
+            beliefs=beliefs,
         )
         places = regressor.predict(boxes, source=pairs.boxes.source)
         pixels = np.concatenate([foot, control.pixel_px])
