@@ -62,14 +62,17 @@ def shore_landmarks(
         if least_m < _NEAREST_M:
             continue
         # How far below the horizon, as the tangent of the angle, the edge lies at least (where the
-        # earth's curve hides what is further) and at most: anywhere in between.
-        lowest = camera.height_m / least_m + 0.5 * least_m / _EARTH_RADIUS_M
+        # earth's curve hides what is further) and at most. In between every distance is as likely
+        # as twice that, since nothing says on what scale the water is wide.
         highest = np.sqrt(2.0 * camera.height_m / _EARTH_RADIUS_M)
-        middle = 0.5 * (lowest + highest)
+        lowest = camera.height_m / least_m + 0.5 * least_m / _EARTH_RADIUS_M
+        ratio = max(np.log(lowest / highest), 1e-3)
+        middle = (lowest - highest) / ratio
+        spread = np.sqrt(max(0.5 * (lowest**2 - highest**2) / ratio - middle**2, 0.0))
         away_m = camera.height_m / middle
         pixels.append([column, row])
         where.append(np.array([camera.east_m, camera.north_m]) + away_m * toward)
-        sigma.append(max(lowest - highest, 0.0) / np.sqrt(12.0) * away_m / middle)
+        sigma.append(spread * away_m / middle)
     if not pixels:
         return Landmarks.none()
     return Landmarks(np.array(pixels), np.array(where), np.array(sigma))

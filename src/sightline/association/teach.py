@@ -46,9 +46,11 @@ MOST_A_RECORDING = 120
 
 # Detectors see a hull, not where it meets the water: their boxes end too high by a few pixels, as
 # a rule. Where the edge of the water is seen, it tells how many; boxes alone tell next to nothing,
-# so that without it a closer guess has to stand in.
-_WITH_EDGE = CameraPrior(bias_px=-3.0, bias_px_sigma=5.0)
-_WITHOUT_EDGE = CameraPrior(bias_px=-4.0, bias_px_sigma=2.0)
+# so that without it a closer guess has to stand in. Whoever draws boxes leaves some water around a
+# boat: a pixel and 0.15 m are half of what the detector that ships was taught to leave.
+_ANY = CameraPrior(unseen_px=1.0, unseen_m=-0.15)
+_WITH_EDGE = replace(_ANY, bias_px=-3.0, bias_px_sigma=5.0)
+_WITHOUT_EDGE = replace(_ANY, bias_px=-4.0, bias_px_sigma=2.0)
 
 # Of some detectors it was measured on rendered boats; so much may real ones differ from these, px
 # and as a share of what the height of the boat makes.
@@ -315,6 +317,8 @@ def update_scene(
         prior_of(old, turned=bool(turns)),
         bias_px=usual.bias_px,
         bias_px_sigma=usual.bias_px_sigma,
+        unseen_px=usual.unseen_px,
+        unseen_m=usual.unseen_m,
     )
     fitted = fit_pairs(
         pairs,

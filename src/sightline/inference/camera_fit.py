@@ -95,6 +95,9 @@ class CameraPrior:
         bias_px: Mean of each source's lower edge, pixels; negative where boxes end too high.
         bias_px_sigma: Its standard deviation.
         bias_m_sigma: Of each source's lower edge, metres of height at the target.
+        unseen_px: The mean of a source that was not learned from, pixels. It has a mean of its own
+            where the sources learned from are of another kind: detectors, and people who draw.
+        unseen_m: The same in metres of height at the target.
         clock_sigma_s: Of each recording's clock against the log: logs and clocks often keep whole
             seconds.
     """
@@ -113,6 +116,8 @@ class CameraPrior:
     bias_px: float = 0.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3
+    unseen_px: float = 0.0
+    unseen_m: float = 0.0
     clock_sigma_s: float = 0.5
 
     def moments(

@@ -72,7 +72,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     Attributes:
         fit_: The fitted camera and its uncertainty, a `CameraFit`.
         sources_: Names of the sources of boxes, in the order of their biases.
-        believed_: Those of them of which more was believed than the prior says.
         range_process_: Residual of the log-range, or None.
         bearing_process_: Residual of the bearing, radians, or None.
     """
@@ -158,7 +157,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             time_s=np.concatenate([times, np.full(m, np.nan)]),
             width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
         )
-        self.believed_ = tuple(name for name in self.sources_ if name in (beliefs or {}))
         self.fit_ = fit_camera(
             sightings,
             self.image_size_px,
@@ -167,7 +165,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             beliefs={
                 self.sources_.index(name): belief
                 for name, belief in (beliefs or {}).items()
-                if name in self.believed_
+                if name in self.sources_
             },
             noise=PixelNoise(drift_m=0.0) if n == 0 else None,
             position_known=self.position_known,
@@ -248,10 +246,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """A source's bias, (2,) pixels and metres, and the whole covariance with the camera's.
 
         The covariance is (13, 13): the camera's nine parameters, the target's two, and the two of
-        the bias. A source that was not learned from is one more draw from where the known ones came
-        from: their mean, shrunk to zero as few of them tell little, and their spread say where it
-        may be. What the prior believes of all sources learned from, as being of one kind, is not
-        handed on; what was believed of one of them alone is.
+        the bias. A source that was not learned from is what the prior says of such, and how far the
+        known ones are from that says how far it may be.
         """
         fit, prior = self.fit_, self.prior or CameraPrior()
         name = self.sources_[0] if not source and len(self.sources_) == 1 else source
@@ -261,21 +257,15 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             chosen = [*range(FIRST_SOURCE), first, first + 1]
             return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
         count = len(self.sources_)
-        weight = 1.0 / (_UNSEEN_WEIGHT + count)
-        known = slice(FIRST_SOURCE, FIRST_SOURCE + each * count)
-        biases = fit.vector[known].reshape(-1, each).copy()
-        biases[[name not in self.believed_ for name in self.sources_], 0] -= prior.bias_px
-        mean = weight * biases.sum(axis=0)
-        # The mean moves with the camera, as the known ones' biases do.
-        made = np.zeros((FIRST_SOURCE + each, fit.vector.size))
-        made[:FIRST_SOURCE, :FIRST_SOURCE] = np.eye(FIRST_SOURCE)
-        made[FIRST_SOURCE:, known] = np.tile(weight * np.eye(each), count)
-        covariance = made @ fit.covariance @ made.T
+        mean = np.array([prior.unseen_px, prior.unseen_m])
         expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
-        squares = np.sum((biases - mean) ** 2, axis=0)
-        squares += np.diag(fit.covariance)[known].reshape(-1, each).sum(axis=0)
-        spread = weight * (_UNSEEN_WEIGHT * (expected**2 + mean**2) + squares)
-        covariance[FIRST_SOURCE:, FIRST_SOURCE:] += np.diag(spread)
+        known = slice(FIRST_SOURCE, FIRST_SOURCE + each * count)
+        squares = (fit.vector[known].reshape(-1, each) - mean) ** 2
+        squares += np.diag(fit.covariance)[known].reshape(-1, each)
+        spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
+        covariance = np.zeros((FIRST_SOURCE + each, FIRST_SOURCE + each))
+        covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
+        covariance[FIRST_SOURCE:, FIRST_SOURCE:] = np.diag(spread / (_UNSEEN_WEIGHT + count))
         return mean, covariance
 
     def _prepare(self) -> None:
@@ -470,7 +460,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "residual": self.residual,
             "position_known": self.position_known,
             "sources": list(self.sources_),
-            "believed": list(self.believed_),
             "noise": {name: getattr(fit.noise, name) for name in fit.noise.__dataclass_fields__},
             "prior": {name: getattr(self.prior, name) for name in CameraPrior.__dataclass_fields__}
             if self.prior
@@ -515,7 +504,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             position_known=bool(settings["position_known"]),
         )
         model.sources_ = tuple(settings["sources"])
-        model.believed_ = tuple(settings.get("believed", ()))
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
         size = FIRST_SOURCE + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
