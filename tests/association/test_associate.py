@@ -7,6 +7,7 @@ import pyais
 import pytest
 
 from sightline.association import associate, associate_scene, fit_association
+from sightline.detection import LowerEdge
 from sightline.association.observations import observe
 from sightline.association.paths import LoggedPath
 from sightline.association.search import Watch
@@ -140,6 +141,18 @@ fixes = "ais.nmea"
     assert model.camera is not None
     assert model.camera.height_m == pytest.approx(traffic.camera.height_m, rel=0.2)
     assert any("Recognised without drawn boxes" in s for s in model.report.statements)
+    # The detector leaves water below the hulls, as was measured; nothing else tells it from pitch.
+    seen = traffic.boxes()
+    low = seen.xyxy_px.copy()
+    low[:, 3] += 3.0 + 0.15 * (low[:, 3] - low[:, 1])
+    measured = seen.with_columns(xyxy_px=low, source=np.full(len(seen), "measured"))
+    write_boxes(measured, tmp_path / "seen.csv")
+    low_found = associate_scene(scene)
+    edge = LowerEdge(px=3.0, share=0.15, spread_px=0.3)
+    told = fit_association(scene, low_found, "camera", lower_edges={"measured": edge})
+    untold = fit_association(scene, low_found, "camera")
+    off = [abs(one.camera.pitch_deg - traffic.camera.pitch_deg) for one in (told, untold)]
+    assert off[0] < 0.5 * off[1]
 
 
 def test_what_cannot_be_recognised_is_said_in_one_line(tmp_path):

@@ -18,7 +18,7 @@ from sightline.detection import (
     ViewSettings,
     detector_by_name,
 )
-from sightline.detection.metadata import DetectorMetadata
+from sightline.detection.metadata import DetectorMetadata, LowerEdge
 from sightline.detection.onnx import available_providers
 from sightline.errors import InputError
 from sightline.scene import Scene
@@ -205,9 +205,11 @@ def test_the_file_says_what_it_is_for(constant_file: MakeFile) -> None:
         default_classes=("boat",),
         score_threshold=0.35,
         views=ViewSettings(kind="whole"),
+        lower_edge=LowerEdge(px=2.0, share=0.15, spread_px=0.5),
     )
     file = constant_file(rows, metadata={"sightline": metadata.to_json()})
     detector = OnnxDetector(file)
+    assert detector.lower_edge == LowerEdge(px=2.0, share=0.15, spread_px=0.5)
     frame = bright(size=(320, 320))
     assert detector.threshold == 0.35
     assert detector.views(frame) == (View(0, 0, 320, 320, 1.0),)
@@ -231,6 +233,10 @@ def test_the_file_says_what_it_is_for(constant_file: MakeFile) -> None:
         ),
         ('{"decoder": "yolov8", "classes": ["a"], "input": {"std": [0, 1, 1]}}', "input.std"),
         ('{"decoder": "yolov8", "classes": ["a"], "views": {"kind": "all"}}', "kind of views"),
+        (
+            '{"decoder": "yolov8", "classes": ["a"], "lower_edge": {"px": 2.0, "spread_px": 0.0}}',
+            "lower_edge.spread_px",
+        ),
         ('{"decoder": "yolov8", "classes": ["a"]}', "names 1 classes and puts out 80"),
         ('{"decoder": "yolov8", "classes": ["a"], "input": {"size": [64, 64]}}', "64 x 64 px"),
     ],

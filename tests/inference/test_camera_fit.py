@@ -14,6 +14,7 @@ from sightline.inference.camera_fit import (
     CameraPrior,
     PixelNoise,
     Sightings,
+    SourceBelief,
     fit_camera,
 )
 from sightline.inference.camera_model import CameraRegressor
@@ -218,6 +219,21 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
     assert total < chi2.ppf(0.995, 2 * len(SEEDS))
 
 
+def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
+    """Boxes that all end 6 px too low look like a camera that is turned up, but for what is known."""
+    planted = np.array([[6.0, -0.2]])
+    belief = SourceBelief(bias_px=(6.0, 0.5), bias_m=(-0.2, 0.1))
+    believed, untold = [], []
+    for seed in SEEDS:
+        world = plant(seed, bias=planted)
+        for beliefs, off in (({0: belief}, believed), (None, untold)):
+            fit = fit_camera(world.sightings, SIZE, n_sources=1, beliefs=beliefs, starts=2)
+            off.append(difference(fit, world.camera)[1])
+            if beliefs:
+                assert abs(off[-1]) < 3.5 * np.sqrt(fit.covariance[1, 1])
+    assert np.median(np.abs(believed)) < 0.5 * np.median(np.abs(untold))
+
+
 def test_outliers_are_flagged_and_do_not_pull_the_camera() -> None:
     for seed in SEEDS:
         world = plant(seed)
@@ -356,3 +372,29 @@ def test_boxes_of_a_source_that_nobody_knows_lie_in_their_ellipses() -> None:
         solved = np.linalg.solve(covariance[known], off[known][:, :, None])[:, :, 0]
         held.append(np.einsum("ni,ni->n", off[known], solved) < chi2.ppf(0.95, 2))
     assert np.mean(np.concatenate(held)) > 0.9
+
+
+def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> None:
+    """The camera learned from a detector whose habit was measured; somebody draws with a margin."""
+    margin = np.array([2.0, -0.3])
+    prior = CameraPrior(unseen_px=margin[0], unseen_m=margin[1])
+    belief = SourceBelief(bias_px=(3.0, 0.1), bias_m=(-0.2, 0.05))
+    off = {}
+    for told in (prior, CameraPrior()):
+        world = plant(1, bias=np.array([[3.0, -0.2]]), hull_m=np.zeros(2))
+        sightings = world.sightings
+        model = CameraRegressor(SIZE, residual=False, prior=told, starts=2).fit(
+            boxes_of(sightings.pixel_px),
+            np.stack([sightings.east_m, sightings.north_m], axis=1),
+            source=np.full(len(sightings), "detector"),
+            velocity_mps=sightings.velocity_mps,
+            beliefs={"detector": belief},
+        )
+        truth = np.stack(places(world.camera, np.random.default_rng(83), 60), axis=1)
+        pixel = world.camera.project(*truth.T, np.full(60, margin[1])) + (0.0, margin[0])
+        found = model.predict(boxes_of(pixel), source="somebody")
+        off[told.unseen_px] = np.nanmedian(np.hypot(*(found - truth).T))
+        # One box at a time goes another way.
+        single = model.predict(boxes_of(pixel[:1]), source="somebody")
+        np.testing.assert_allclose(single[0], found[0], rtol=1e-6)
+    assert off[2.0] < 0.5 * off[0.0]
