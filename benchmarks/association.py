@@ -11,34 +11,21 @@ team's motion tracker and the log alone, where the recordings are at hand.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from _recordings import challenge_scene
 
 from sightline.association import Association, associate, associate_scene, fit_association
 from sightline.association.observations import observe
-from sightline.association.paths import LoggedPath
 from sightline.association.search import Watch
 from sightline.errors import FitError
 from sightline.pipeline import place_boxes, score
 from sightline.scene import Scene
 from sightline.simulation.traffic import Traffic
-from sightline.types import Fixes
-
-
-def paths_of(traffic: Traffic) -> dict[int, LoggedPath]:
-    """The feed as paths, by MMSI."""
-    out = {}
-    for mmsi, log in traffic.reports().items():
-        course = np.radians(log.course_deg)
-        velocity = log.speed_mps[:, None] * np.stack([np.sin(course), np.cos(course)], axis=1)
-        fixes = Fixes(log.time_utc_s, log.latitude_deg, log.longitude_deg, name=str(mmsi))
-        out[mmsi] = LoggedPath.of(fixes, traffic.plane, velocity)
-    return out
 
 
 def try_to(watch: Watch, traffic: Traffic) -> Association | None:
@@ -55,7 +42,7 @@ def feeds(seeds: int) -> None:
     for seed in range(seeds):
         began = time.perf_counter()
         traffic = Traffic.random(seed)
-        seen, paths = observe(traffic.boxes()), paths_of(traffic)
+        seen, paths = observe(traffic.boxes()), traffic.paths()
         found = try_to(Watch("one", seen, tuple(paths.values())), traffic)
         names = {int(one.vessel) for one in found.found} if found else set()
         in_view = set(traffic.in_view)
@@ -106,9 +93,4 @@ def real(path: Path) -> None:
 
 if __name__ == "__main__":
     feeds(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
-    data = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[2] / "shared" / "data"))
-    given = Path(sys.argv[2]) if len(sys.argv) > 2 else data / "tracks-at-sea" / "scene.toml"
-    if given.is_file():
-        real(given)
-    else:
-        print("skipped: the recordings are not here; give the path of their scene file")
+    real(challenge_scene(*sys.argv[2:3]))

@@ -7,33 +7,22 @@ import pyais
 import pytest
 
 from sightline.association import associate, associate_scene, fit_association
-from sightline.detection import LowerEdge
 from sightline.association.observations import observe
-from sightline.association.paths import LoggedPath
 from sightline.association.search import Watch
+from sightline.detection import LowerEdge
 from sightline.errors import FitError, InputError
 from sightline.formats import read_ais_feed, write_boxes
 from sightline.pipeline import place_boxes, score
 from sightline.scene import Scene
 from sightline.simulation.traffic import Traffic
-from sightline.types import Boxes, Fixes, to_datetime64
-
-
-def paths_of(traffic):
-    out = {}
-    for mmsi, log in traffic.reports().items():
-        course = np.radians(log.course_deg)
-        velocity = log.speed_mps[:, None] * np.stack([np.sin(course), np.cos(course)], axis=1)
-        fixes = Fixes(log.time_utc_s, log.latitude_deg, log.longitude_deg, name=str(mmsi))
-        out[mmsi] = LoggedPath.of(fixes, traffic.plane, velocity)
-    return out
+from sightline.types import Boxes, to_datetime64
 
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_the_vessels_in_view_are_found_in_a_feed_and_no_others(seed):
     traffic = Traffic.random(seed, vessels=25)
     boxes, owner = traffic.boxes(), traffic.owner()
-    watch = Watch("one", observe(boxes), tuple(paths_of(traffic).values()))
+    watch = Watch("one", observe(boxes), tuple(traffic.paths().values()))
     found = associate([watch], traffic.camera.image_size_px)
     assert {int(one.vessel) for one in found.found} == set(traffic.in_view)
     assert found.offset_s["one"] == pytest.approx(-37.0, abs=1.0)
@@ -48,7 +37,7 @@ def test_the_vessels_in_view_are_found_in_a_feed_and_no_others(seed):
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_the_log_of_a_vessel_that_was_never_in_view_is_refused(seed):
     traffic = Traffic.random(seed, vessels=12)
-    elsewhere = [path for mmsi, path in paths_of(traffic).items() if mmsi not in traffic.in_view]
+    elsewhere = [path for mmsi, path in traffic.paths().items() if mmsi not in traffic.in_view]
     seen = observe(traffic.boxes())
     with pytest.raises(FitError, match="no logged vessel can be told"):
         associate([Watch("one", seen, (elsewhere[seed],))], traffic.camera.image_size_px)
@@ -56,7 +45,7 @@ def test_the_log_of_a_vessel_that_was_never_in_view_is_refused(seed):
 
 def test_nobody_is_recognised_without_boxes_or_without_a_log():
     traffic = Traffic.random(0, vessels=6)
-    seen, path = observe(traffic.boxes()), next(iter(paths_of(traffic).values()))
+    seen, path = observe(traffic.boxes()), next(iter(traffic.paths().values()))
     for watch in (Watch("a", observe(Boxes.of([])), (path,)), Watch("a", seen, ())):
         with pytest.raises(FitError, match="no recording has both"):
             associate([watch], (1280, 720))
@@ -118,9 +107,8 @@ def test_a_feed_in_a_file_teaches_a_scene_without_drawn_boxes(tmp_path):
     ais_file(tmp_path / "ais.nmea", traffic)
     feed = read_ais_feed(tmp_path / "ais.nmea")
     told = traffic.reports()[traffic.in_view[0]]
-    course = np.radians(told.course_deg)
-    velocity = told.speed_mps[:, None] * np.stack([np.sin(course), np.cos(course)], axis=1)
-    np.testing.assert_allclose(feed[traffic.in_view[0]].velocity_mps, velocity, atol=0.06)
+    read = feed[traffic.in_view[0]].velocity_mps
+    np.testing.assert_allclose(read, told.velocity_mps, atol=0.06)
     write_boxes(traffic.boxes(), tmp_path / "seen.csv")
     (tmp_path / "scene.toml").write_text(
         f"""[camera]

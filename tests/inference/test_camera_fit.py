@@ -220,7 +220,7 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
 
 
 def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
-    """Boxes that all end 6 px too low look like a camera that is turned up, but for what is known."""
+    """Boxes that all end 6 px too low look like a camera that is turned up."""
     planted = np.array([[6.0, -0.2]])
     belief = SourceBelief(bias_px=(6.0, 0.5), bias_m=(-0.2, 0.1))
     believed, untold = [], []
@@ -391,7 +391,8 @@ def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> 
             beliefs={"detector": belief},
         )
         truth = np.stack(places(world.camera, np.random.default_rng(83), 60), axis=1)
-        pixel = world.camera.project(*truth.T, np.full(60, margin[1])) + (0.0, margin[0])
+        pixel = world.camera.project(*truth.T, np.full(60, margin[1]))
+        pixel[:, 1] += margin[0]
         found = model.predict(boxes_of(pixel), source="somebody")
         off[told.unseen_px] = np.nanmedian(np.hypot(*(found - truth).T))
         # One box at a time goes another way.

@@ -3,6 +3,7 @@
     traffic = Traffic.random(seed=3)
     boxes = traffic.boxes()             # of everything seen: vessels, some without AIS, clutter
     reports = traffic.reports()         # by MMSI: what a receiver logged of all vessels
+    paths = traffic.paths()             # by MMSI: the same as paths, for `sightline.association`
     traffic.in_view                     # the MMSI of the vessels that were seen
     traffic.owner(boxes)                # whose each box is
 
@@ -17,9 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from sightline.association.paths import LoggedPath
 from sightline.geodesy import LocalPlane
 from sightline.simulation.camera import SimulatedCamera
-from sightline.types import NO_TRACK, BoolArray, Boxes, FloatArray, IntArray
+from sightline.types import NO_TRACK, BoolArray, Boxes, Fixes, FloatArray, IntArray
 
 _START_UTC_S = 1_717_236_000.0
 _PLANE = LocalPlane(54.3233, 10.1394)
@@ -70,6 +72,13 @@ class VesselReports:
     speed_mps: FloatArray
     course_deg: FloatArray
     class_a: bool
+
+    @property
+    def velocity_mps(self) -> FloatArray:
+        """(N, 2) float64, east and north, over ground."""
+        course = np.radians(self.course_deg)
+        toward = np.stack([np.sin(course), np.cos(course)], axis=1)
+        return np.asarray(self.speed_mps[:, None] * toward)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +189,14 @@ class Traffic:
                 course_deg=np.round(course, 1) % 360.0,
                 class_a=one.class_a,
             )
+        return out
+
+    def paths(self) -> dict[int, LoggedPath]:
+        """The reports as paths in the plane, by MMSI."""
+        out = {}
+        for mmsi, log in self.reports().items():
+            fixes = Fixes(log.time_utc_s, log.latitude_deg, log.longitude_deg, name=str(mmsi))
+            out[mmsi] = LoggedPath.of(fixes, self.plane, log.velocity_mps)
         return out
 
     def _report_times(self, one: TrafficVessel, rng: np.random.Generator) -> FloatArray:
