@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
+from sightline.inference.camera_model import CameraRegressor
 from sightline.inference.log_error import (
     LONGEST_BLOCK_S,
     MOST_IN_BLOCK,
@@ -13,6 +14,7 @@ from sightline.inference.log_error import (
     blocks_of,
     thinned,
 )
+from sightline.simulation.traffic import Traffic
 from sightline.types import FloatArray
 
 DRIFT_M, DRIFT_S = 1.5, 20.0
@@ -101,13 +103,40 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> 
 
 def test_a_coordinate_sees_its_share_of_the_error() -> None:
     world = World()
-    error = LogError(world.time_s, world.by_place[:, 0], DRIFT_M, DRIFT_S)
+    error = LogError(world.time_s, world.by_place[:, 0], world.group, DRIFT_M, DRIFT_S)
     expected = world.covariance(np.zeros((11, 2)))[::2, ::2]
-    np.testing.assert_allclose(error.covariance(world.group), expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(error.covariance(), expected, rtol=1e-12, atol=1e-12)
     some = np.array([1, 4, 6, 10])
-    np.testing.assert_allclose(
-        error[some].covariance(world.group[some]), expected[np.ix_(some, some)], rtol=1e-12
-    )
+    np.testing.assert_allclose(error[some].covariance(), expected[np.ix_(some, some)], rtol=1e-12)
+
+
+def test_vessels_of_one_feed_have_errors_of_their_own() -> None:
+    """As one error of all of them, those of single receivers would seem to be the camera's."""
+    squares = []
+    for seed in range(4):
+        traffic = Traffic.random(seed, vessels=5, unlogged=0)
+        boxes, owner = traffic.boxes(clutter=0.0), traffic.owner(clutter=0.0)
+        east_north_m, velocity_mps = np.full((2, len(boxes), 2), np.nan)
+        for mmsi, path in traffic.paths().items():
+            own = owner == mmsi
+            at = path.at(boxes.time_utc_s[own] + traffic.offset_s)
+            east_north_m[own], velocity_mps[own] = at.east_north_m, at.velocity_mps
+        rows = np.flatnonzero(np.isfinite(east_north_m).all(axis=1))[::4]
+        model = CameraRegressor(traffic.camera.image_size_px, residual=False, starts=2).fit(
+            boxes.xyxy_px[rows],
+            east_north_m[rows],
+            velocity_mps=velocity_mps[rows],
+            time_s=boxes.time_utc_s[rows],
+            vessel=owner[rows],
+        )
+        sigma = np.sqrt(np.diag(model.fit_.covariance))[[1, 4]]
+        true = traffic.camera
+        off = [
+            np.radians(model.camera_.pitch_deg - true.pitch_deg),
+            np.log(model.camera_.focal_px / true.focal_length_px),
+        ]
+        squares.append((np.array(off) / sigma) ** 2)
+    assert np.sum(squares) < chi2.ppf(0.995, 8)
 
 
 def test_sightings_that_come_faster_than_needed_are_thinned_evenly() -> None:

@@ -343,7 +343,7 @@ def update_scene(
 
 def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
     """Boxes that were recognised, thinned, with the places of their vessels."""
-    boxes, names, places, velocities = [], [], [], []
+    boxes, names, vessels, places, velocities = [], [], [], [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
         watch = by_name[found.recording]
@@ -354,6 +354,7 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
         known = np.isfinite(at.east_north_m).all(axis=1)
         boxes.append(watch.seen.boxes[watch.seen.box[chosen[known]]])
         names.append(np.full(int(known.sum()), found.recording))
+        vessels.append(np.full(int(known.sum()), found.vessel))
         places.append(at.east_north_m[known])
         velocities.append(at.velocity_mps[known])
     return Pairs(
@@ -363,6 +364,7 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
         velocity_mps=np.concatenate(velocities),
         asked=sum(map(len, boxes)),
         plane=plane,
+        vessel=np.concatenate(vessels),
     )
 
 

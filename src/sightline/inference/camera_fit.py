@@ -249,6 +249,8 @@ class Sightings:
         time_s: (N,) float64, seconds, from which it is told which errors of the log are alike; NaN
             where there is no log, or no time is known. Absent: nowhere.
         width_px: (N,) float64, of the boxes; NaN where there is none. Absent: nowhere.
+        log: (N,) int64, index of the log that tells the place, one for each vessel of a recording:
+            an error of it that lasts is its own. Absent: one for each recording.
     """
 
     pixel_px: FloatArray
@@ -260,8 +262,11 @@ class Sightings:
     sigma_m: FloatArray
     time_s: FloatArray = field(default_factory=lambda: np.empty(0))
     width_px: FloatArray = field(default_factory=lambda: np.empty(0))
+    log: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
+        if self.log.size == 0:
+            object.__setattr__(self, "log", self.group)
         for name in ("time_s", "width_px"):
             if getattr(self, name).size == 0:
                 object.__setattr__(self, name, np.full(self.east_m.size, np.nan))
@@ -382,7 +387,7 @@ def fit_camera(
     """
     _check_enough(sightings)
     prior = prior or CameraPrior()
-    chosen = thinned(sightings.time_s, sightings.group)
+    chosen = thinned(sightings.time_s, sightings.log)
     everything = _Problem(sightings, image_size_px, n_sources, prior, position_known, beliefs)
     problem = everything
     if chosen.size < len(sightings):
@@ -496,7 +501,7 @@ class _Problem:
         self.held = np.isfinite(self.sigma)
         self.size = self.mean.size
         self.timed = np.isfinite(sightings.time_s)
-        self.blocks = blocks_of(sightings.time_s, sightings.group)
+        self.blocks = blocks_of(sightings.time_s, sightings.log)
         speed = np.hypot(*sightings.velocity_mps.T)
         steered = (sightings.source != NO_SOURCE) & (speed > _UNDER_WAY_MPS)
         self.bow = np.where(

@@ -100,6 +100,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         *,
         source: ArrayLike | None = None,
         group: ArrayLike | None = None,
+        vessel: ArrayLike | None = None,
         velocity_mps: ArrayLike | None = None,
         time_s: ArrayLike | None = None,
         control_px: ArrayLike | None = None,
@@ -114,6 +115,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             y: (N, 2) metres east and north.
             source: (N,) str, who made each box; absent: one unnamed source.
             group: (N,) the recording of each box; absent: one.
+            vessel: (N,) whose box it is, where there are several: each has a log. Absent: one.
             velocity_mps: (N, 2) of the target, east and north; tells how far a clock is off.
             time_s: (N,) of each box, seconds; tells which errors of the log are alike. Absent or
                 NaN: those of a recording are not.
@@ -140,6 +142,10 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.sources_ = tuple(str(name) for name in np.unique(names))
         index = np.searchsorted(self.sources_, names) if n else np.empty(0, dtype=np.int64)
         self._group: IntArray = np.unique(groups, return_inverse=True)[1].astype(np.int64)
+        of = np.asarray(vessel if vessel is not None else [""] * n, dtype=np.str_)
+        whose = np.unique(of, return_inverse=True)[1]
+        logs = self._group * (int(whose.max(initial=0)) + 1) + whose
+        self._log: IntArray = np.unique(logs, return_inverse=True)[1].astype(np.int64)
         foot = _foot(boxes)
         certain = np.full(m, CONTROL_POINT_SIGMA_M)
         if control_sigma_m is not None:
@@ -156,6 +162,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             sigma_m=np.concatenate([np.zeros(n), certain]),
             time_s=np.concatenate([times, np.full(m, np.nan)]),
             width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
+            log=np.concatenate([self._log, int(self._log.max(initial=-1)) + 1 + np.arange(m)]),
         )
         self.fit_ = fit_camera(
             sightings,
@@ -432,7 +439,11 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         def learn(axis: int) -> ResidualProcess:
             along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
             log_error = LogError(
-                time_s, along_or_across, self.fit_.noise.drift_m, self.fit_.noise.drift_s
+                time_s,
+                along_or_across,
+                self._log,
+                self.fit_.noise.drift_m,
+                self.fit_.noise.drift_s,
             )
             return ResidualProcess(
                 inputs[usable],
@@ -478,6 +489,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 if process.log_error is not None:
                     arrays[f"{key}.time"] = process.log_error.time_s
                     arrays[f"{key}.direction"] = process.log_error.direction
+                    arrays[f"{key}.log"] = process.log_error.log
                 settings[key] = {
                     "hyperparameters": list(process.hyperparameters.to_log()),
                     "length_scales": list(process.length_scales),
@@ -541,6 +553,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 log_error=LogError(
                     np.array(arrays[f"{key}.time"], dtype=np.float64),
                     np.array(arrays[f"{key}.direction"], dtype=np.float64),
+                    np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
                     model.fit_.noise.drift_m,
                     model.fit_.noise.drift_s,
                 )

@@ -411,6 +411,7 @@ def fit_pairs(
             pairs.east_north_m,
             source=pairs.boxes.source,
             group=pairs.recording,
+            vessel=pairs.vessel,
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
             control_px=np.concatenate([control.pixel_px, far.pixel_px]),

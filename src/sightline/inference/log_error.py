@@ -3,9 +3,10 @@
 A receiver that is two metres off is two metres off for half a minute. Boxes within seconds of each
 other share this error: as independent ones they would seem to tell more than they do, and turn the
 camera towards the log. It is a Gauss-Markov (Ornstein-Uhlenbeck) process in east and another in
-north, anew in each recording. Its covariance is ``drift_m² exp(-|Δt| / drift_s)``, but smooth below
-a second, since fixes come a second apart and are interpolated between. Residuals are whitened by
-what it and the boxes' own noise make together (generalised least squares).
+north, anew in each recording and for each vessel. Its covariance is
+``drift_m² exp(-|Δt| / drift_s)``, but smooth below a second, since fixes come a second apart and
+are interpolated between. Residuals are whitened by what it and the boxes' own noise make together
+(generalised least squares).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _SMOOTH_S = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Sightings of one recording whose errors are correlated.
+    """Sightings of one log whose errors are correlated.
 
     Attributes:
         rows: (n,) int64, which sightings.
@@ -41,11 +42,11 @@ class Block:
     apart_s: FloatArray
 
 
-def thinned(time_s: FloatArray, group: IntArray) -> IntArray:
-    """The rows to learn from: all, but for those of a recording that come faster than needed."""
+def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
+    """The rows to learn from: all, but for those of a log that come faster than needed."""
     kept = [np.flatnonzero(~np.isfinite(time_s))]
-    for g in np.unique(group[np.isfinite(time_s)]):
-        rows = np.flatnonzero((group == g) & np.isfinite(time_s))
+    for one in np.unique(log[np.isfinite(time_s)]):
+        rows = np.flatnonzero((log == one) & np.isfinite(time_s))
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         blocks = max(1.0, np.ptp(time_s[rows]) / LONGEST_BLOCK_S)
         most = int(blocks * MOST_IN_BLOCK)
@@ -55,11 +56,11 @@ def thinned(time_s: FloatArray, group: IntArray) -> IntArray:
     return np.sort(np.concatenate(kept))
 
 
-def blocks_of(time_s: FloatArray, group: IntArray) -> list[Block]:
-    """Recordings, or parts of long ones; sightings without a time are in none."""
+def blocks_of(time_s: FloatArray, log: IntArray) -> list[Block]:
+    """Logs in a recording, or parts of long ones; sightings without a time are in none."""
     out = []
-    for g in np.unique(group[np.isfinite(time_s)]):
-        rows = np.flatnonzero((group == g) & np.isfinite(time_s))
+    for one in np.unique(log[np.isfinite(time_s)]):
+        rows = np.flatnonzero((log == one) & np.isfinite(time_s))
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         count = -(-rows.size // MOST_IN_BLOCK)
         out += [Block(part, _apart(time_s[part])) for part in np.array_split(rows, count)]
@@ -73,22 +74,26 @@ class LogError:
     Attributes:
         time_s: (N,) float64, seconds; NaN where it is not known, and errors are independent.
         direction: (N, 2) float64, by how much the coordinate changes with a metre east and north.
+        log: (N,) int64, which log tells each place; errors of different ones are independent.
         drift_m: Standard deviation in east and in north.
         drift_s: How long it lasts.
     """
 
     time_s: FloatArray
     direction: FloatArray
+    log: IntArray
     drift_m: float
     drift_s: float
 
     def __getitem__(self, rows: IntArray | BoolArray) -> LogError:
-        return replace(self, time_s=self.time_s[rows], direction=self.direction[rows])
+        return replace(
+            self, time_s=self.time_s[rows], direction=self.direction[rows], log=self.log[rows]
+        )
 
-    def covariance(self, group: IntArray) -> FloatArray:
-        """(N, N) of the coordinate, for places in the recordings ``group``, (N,) int64."""
+    def covariance(self) -> FloatArray:
+        """(N, N) of the coordinate."""
         kernel = self.drift_m**2 * np.exp(-_apart(self.time_s) / self.drift_s)
-        alike = (group[:, None] == group[None, :]) & np.isfinite(kernel)
+        alike = (self.log[:, None] == self.log[None, :]) & np.isfinite(kernel)
         return np.asarray(np.where(alike, kernel, 0.0) * (self.direction @ self.direction.T))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -27,6 +27,7 @@ class Pairs:
         velocity_mps: (N, 2) float64, east and north.
         asked: How many boxes there were; those without a fix on either side do not count.
         plane: Where the origin lies.
+        vessel: (N,) str, whose box it is, where a recording has several. Absent: one.
     """
 
     boxes: Boxes
@@ -35,6 +36,11 @@ class Pairs:
     velocity_mps: FloatArray
     asked: int
     plane: LocalPlane
+    vessel: StrArray = field(default_factory=lambda: np.empty(0, dtype=np.str_))
+
+    def __post_init__(self) -> None:
+        if self.vessel.size == 0:
+            object.__setattr__(self, "vessel", np.full(len(self.boxes), ""))
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -46,6 +52,7 @@ class Pairs:
             recording=self.recording[rows],
             east_north_m=self.east_north_m[rows],
             velocity_mps=self.velocity_mps[rows],
+            vessel=self.vessel[rows],
         )
 
 

@@ -99,7 +99,7 @@ class ResidualProcess:
         smooth = h.amplitude**2 * np.exp(-0.5 * _squared_differences(scaled).sum(axis=0))
         rest = _rest(h, self.noise, _same(self.group))
         if self.log_error is not None:
-            rest += self.log_error.covariance(self.group)
+            rest += self.log_error.covariance()
         self._weights = cho_solve(cho_factor(smooth + rest, lower=True), self.targets)
         # The product with it is most of the work, and seven digits of a variance are plenty.
         whitening = _trapezoid(_whitening(smooth, rest))
@@ -224,7 +224,7 @@ class LogLikelihood:
         group: IntArray,
         log_error: LogError | None = None,
     ) -> None:
-        self._logged = 0.0 if log_error is None else log_error.covariance(group)
+        self._logged = 0.0 if log_error is None else log_error.covariance()
         self._targets, self._noise, self._same = targets, noise, _same(group)
         self._squares = _squared_differences(inputs).reshape(inputs.shape[1], -1)
 
