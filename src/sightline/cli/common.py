@@ -1,4 +1,4 @@
-"""What the commands share: consoles, progress, and results as JSON."""
+"""What the commands share: consoles, progress, folders, and results as JSON."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -46,20 +44,6 @@ class Settings:
 
 
 settings = Settings()
-
-JsonOption = Annotated[
-    Path | None,
-    typer.Option("--json", metavar="FILE", dir_okay=False, help="Write the result as JSON."),
-]
-SeedOption = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of whatever is random.")]
-ModelNameOption = Annotated[
-    str, typer.Option("--model", help="nn, gpr, qkr, qkr+nn, qkr+gpr, camera or camera+gpr.")
-]
-
-DetectorOption = Annotated[
-    str,
-    typer.Option(metavar="NAME|FILE.onnx", help="motion, harbour, or a detector in an ONNX file."),
-]
 
 
 def say(line: str = "") -> None:
@@ -130,23 +114,6 @@ def folder_for_results(path: Path) -> Iterator[Path]:
         if new:
             shutil.rmtree(new[-1])
         raise
-
-
-def parse_time(text: str | None) -> float | None:
-    """POSIX seconds of an ISO 8601 time; UTC where it names no zone.
-
-    Raises:
-        InputError: It is none.
-    """
-    if text is None:
-        return None
-    try:
-        moment = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise InputError(
-            f"--start-utc {text!r} is no time; expected for example 2020-09-30T19:36:24Z"
-        ) from error
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def describe(report: Report, what: str) -> str:

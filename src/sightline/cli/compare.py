@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, SeedOption, keep_apart, progress, say, stdout
+from sightline.cli.common import keep_apart, progress, say, stdout
+from sightline.cli.options import JsonOption, SceneArgument, SeedOption
+from sightline.cli.parsing import parse_names
 from sightline.evaluation.comparison import overview_table, paper_table
 from sightline.evaluation.page import write_page
 from sightline.evaluation.plots import MapPanel, map_figure, save_figure
@@ -18,7 +20,7 @@ from sightline.scene import Scene
 
 
 def compare(
-    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    scene: SceneArgument,
     models: Annotated[
         str, typer.Option(help="Names of models, with commas between them.")
     ] = ",".join(MODELS),
@@ -42,12 +44,11 @@ def compare(
     json: JsonOption = None,
 ) -> None:
     """Leave one recording out at a time, and print the paper's Table 2."""
-    names = tuple(name.strip() for name in models.split(",") if name.strip())
     keep_apart([map_file, report, json], [scene])
     loaded = Scene.load(scene)
     with progress() as tell:
         result, placed = compare_models(
-            loaded, names, trajectory=trajectory, seed=seed, progress=tell
+            loaded, parse_names(models), trajectory=trajectory, seed=seed, progress=tell
         )
     if json is not None:
         result.write(json)

@@ -8,13 +8,12 @@ from typing import Annotated
 import typer
 
 from sightline.cli.common import (
-    JsonOption,
-    SeedOption,
     folder_for_results,
     progress,
     say,
     write_result,
 )
+from sightline.cli.options import JsonOption, SeedOption
 from sightline.cli.run import result_dict, tell_result
 from sightline.pipeline import run as run_scene
 from sightline.reporting import write_run

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, describe, describe_forecast, keep_apart, say
+from sightline.cli.common import describe, describe_forecast, keep_apart, say
+from sightline.cli.options import JsonOption
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
 from sightline.pipeline import DEFAULT_TRAJECTORY

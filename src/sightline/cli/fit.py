@@ -10,14 +10,17 @@ import typer
 from sightline.association import fit_scene, update_scene
 from sightline.association.associate import LARGEST_OFFSET_S
 from sightline.cli.common import (
-    DetectorOption,
-    JsonOption,
-    ModelNameOption,
-    SeedOption,
     keep_apart,
     progress,
     say,
     write_result,
+)
+from sightline.cli.options import (
+    DetectorOption,
+    JsonOption,
+    ModelNameOption,
+    SceneArgument,
+    SeedOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
 from sightline.inference.georeferencer import DEFAULT_MODEL
@@ -26,7 +29,7 @@ from sightline.scene import Scene
 
 
 def fit(
-    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    scene: SceneArgument,
     output: Annotated[
         Path,
         typer.Option(

@@ -8,16 +8,21 @@ from typing import Annotated, Any
 import typer
 
 from sightline.cli.common import (
-    DetectorOption,
-    JsonOption,
-    ModelNameOption,
-    SeedOption,
     describe,
     folder_for_results,
     keep_apart,
     progress,
     say,
     write_result,
+)
+from sightline.cli.options import (
+    DetectorOption,
+    IntervalOption,
+    JsonOption,
+    ModelNameOption,
+    SceneArgument,
+    SeedOption,
+    TrajectoryOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
 from sightline.inference.georeferencer import DEFAULT_MODEL
@@ -28,17 +33,14 @@ from sightline.scene import Scene
 
 
 def run(
-    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    scene: SceneArgument,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Where the results go.")
     ],
     model: ModelNameOption = DEFAULT_MODEL,
     detector: DetectorOption = DEFAULT_DETECTOR,
-    trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
-    interval_s: Annotated[
-        float | None,
-        typer.Option("--interval", help="Seconds between points; absent: a point a box."),
-    ] = None,
+    trajectory: TrajectoryOption = DEFAULT_TRAJECTORY,
+    interval_s: IntervalOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:

@@ -11,14 +11,20 @@ import typer
 
 from sightline import formats
 from sightline.cli.common import (
-    DetectorOption,
-    JsonOption,
     keep_apart,
-    parse_time,
     progress,
     say,
     write_result,
 )
+from sightline.cli.options import (
+    ClockOption,
+    DetectorOption,
+    IntervalOption,
+    JsonOption,
+    StartOption,
+    TrajectoryOption,
+)
+from sightline.cli.parsing import parse_time
 from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
@@ -29,7 +35,9 @@ from sightline.types import Track
 def track(
     source: Annotated[
         str,
-        typer.Argument(help="A video, a folder of frames, a stream, or a table of boxes."),
+        typer.Argument(
+            metavar="SOURCE", help="A video, a folder of frames, a stream, or a table of boxes."
+        ),
     ],
     model: Annotated[Path, typer.Option(metavar="MODEL", help="The fitted model.")],
     output: Annotated[
@@ -47,12 +55,8 @@ def track(
         list[Path] | None,
         typer.Argument(metavar="[FILE]...", help="Further files for the tracks, after -o FILE."),
     ] = None,
-    start_utc: Annotated[
-        str | None, typer.Option(metavar="TIME", help="When a video begins, ISO 8601.")
-    ] = None,
-    clock: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A table frame,utc that tells the times.")
-    ] = None,
+    start_utc: StartOption = None,
+    clock: ClockOption = None,
     platform: Annotated[
         Path | None,
         typer.Option(metavar="LOG", help="Where the camera's own vessel was, if it moves."),
@@ -64,11 +68,8 @@ def track(
         ),
     ] = None,
     detector: DetectorOption = DEFAULT_DETECTOR,
-    trajectory: Annotated[str, typer.Option(help="rts or paper.")] = DEFAULT_TRAJECTORY,
-    interval_s: Annotated[
-        float | None,
-        typer.Option("--interval", help="Seconds between points; absent: a point a box."),
-    ] = None,
+    trajectory: TrajectoryOption = DEFAULT_TRAJECTORY,
+    interval_s: IntervalOption = None,
     forecast_s: Annotated[
         float | None,
         typer.Option(
@@ -112,7 +113,7 @@ def track(
             fitted,
             detector=detector,
             clock=times,
-            start_utc_s=parse_time(start_utc),
+            start_utc_s=parse_time("--start-utc", start_utc),
             platform=platform,
             horizons=horizons,
             settings=settings,

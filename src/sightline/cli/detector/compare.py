@@ -9,16 +9,33 @@ import typer
 from rich.table import Table
 
 from sightline.cli.common import (
-    JsonOption,
-    SeedOption,
     keep_apart,
     progress,
     say,
     stdout,
     write_result,
 )
-from sightline.cli.detector.train import _names, _options, _pair
-from sightline.errors import InputError
+from sightline.cli.options import (
+    BatchOption,
+    CropSizeOption,
+    DeviceOption,
+    JsonOption,
+    RateOption,
+    ScalesOption,
+    SceneArgument,
+    SeedOption,
+    TaughtClassesOption,
+    ThreadsOption,
+    TrainingRecordingsOption,
+    ValidateEveryOption,
+    ValidationRecordingsOption,
+)
+from sightline.cli.parsing import (
+    parse_names,
+    parse_options_by_architecture,
+    parse_pair,
+    parse_size_px,
+)
 from sightline.evaluation.comparison import number
 from sightline.evaluation.report import write_json
 from sightline.formats import _extras
@@ -28,7 +45,7 @@ from sightline.training.architecture import ARCHITECTURES
 
 
 def compare(
-    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    scene: SceneArgument,
     output: Annotated[
         Path,
         typer.Option(
@@ -40,12 +57,8 @@ def compare(
         ),
     ],
     test: Annotated[str, typer.Option(help="Recordings to measure on, with commas.")],
-    train: Annotated[
-        str, typer.Option(help="Recordings to learn from, with commas; absent: all others.")
-    ] = "",
-    validation: Annotated[
-        str, typer.Option(help="Recordings that choose the best weights, with commas.")
-    ] = "",
+    train: TrainingRecordingsOption = "",
+    validation: ValidationRecordingsOption = "",
     arch: Annotated[str, typer.Option(help="Which, with commas.")] = ",".join(ARCHITECTURES),
     labels: Annotated[
         Path | None,
@@ -55,17 +68,15 @@ def compare(
         bool,
         typer.Option(help="Train YOLOv4 with its own augmentation, the added, both and none, too."),
     ] = True,
-    classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = "boat",
+    classes: TaughtClassesOption = "boat",
     steps: Annotated[int, typer.Option(help="Batches that each learns from.")] = 6000,
     minutes: Annotated[
         float, typer.Option(help="Of learning that each has at most; 0: no limit.")
     ] = 0.0,
-    batch: Annotated[int, typer.Option(help="Crops in a batch.")] = 16,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Of a crop, px.")] = "416x416",
-    scales: Annotated[
-        str, typer.Option(metavar="LOW-HIGH", help="Of the crops; 1 is the picture's own.")
-    ] = "0.5-1.5",
-    rate: Annotated[float, typer.Option(help="The highest learning rate.")] = 1e-3,
+    batch: BatchOption = 16,
+    size: CropSizeOption = "416x416",
+    scales: ScalesOption = "0.5-1.5",
+    rate: RateOption = 1e-3,
     option: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,9 +85,9 @@ def compare(
             "several times.",
         ),
     ] = None,
-    validate_every: Annotated[int, typer.Option(help="Steps between two validations.")] = 500,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda, ...")] = "auto",
-    threads: Annotated[int, typer.Option(help="Of the CPU; 0: as many as there are.")] = 0,
+    validate_every: ValidateEveryOption = 500,
+    device: DeviceOption = "auto",
+    threads: ThreadsOption = 0,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -91,20 +102,20 @@ def compare(
 
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
-    for_test, for_validation = _names(test), _names(validation)
-    for_training = _names(train) or tuple(
+    for_test, for_validation = parse_names(test), parse_names(validation)
+    for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in (*for_validation, *for_test)
     )
-    low, high = _pair("--scales", scales, "-")
-    width, height = _pair("--size", size, "x")
     recipe = Recipe(
         architecture=ARCHITECTURES[0],
         train=for_training,
         validation=for_validation,
-        labels=Labels(class_names=_names(classes), folders=(labels,) if labels is not None else ()),
-        size_px=(int(width), int(height)),
+        labels=Labels(
+            class_names=parse_names(classes), folders=(labels,) if labels is not None else ()
+        ),
+        size_px=parse_size_px("--size", size),
         batch=batch,
-        augmentation=Augmentation(scales=(low, high)),
+        augmentation=Augmentation(scales=parse_pair("--scales", scales, "-")),
         training=TrainingSettings(
             steps=steps,
             minutes=minutes,
@@ -121,8 +132,8 @@ def compare(
             recipe,
             for_test,
             output,
-            architectures=_names(arch),
-            options=_options_by_architecture(option or []),
+            architectures=parse_names(arch),
+            options=parse_options_by_architecture(option or [], ARCHITECTURES),
             labels=labels,
             augmentations=augmentations,
             progress=tell,
@@ -154,17 +165,3 @@ def compare(
         f"({ran['cores']} cores), training on {trained_on}"
     )
     say(f"comparison: {output / 'comparison.json'}")
-
-
-def _options_by_architecture(texts: list[str]) -> dict[str, dict[str, object]]:
-    """Options of several architectures, from ``ARCH.NAME=VALUE``."""
-    found: dict[str, dict[str, object]] = {}
-    for text in texts:
-        architecture, dot, rest = text.partition(".")
-        if not dot or architecture not in ARCHITECTURES:
-            raise InputError(
-                f"--option {text!r}: expected ARCH.NAME=VALUE, and known are "
-                f"{', '.join(ARCHITECTURES)}"
-            )
-        found.setdefault(architecture, {}).update(_options([rest]))
-    return found

@@ -8,21 +8,25 @@ from typing import Annotated
 import typer
 
 from sightline.cli.common import (
-    DetectorOption,
-    JsonOption,
     keep_apart,
     progress,
     say,
     write_result,
 )
-from sightline.cli.detect import (
+from sightline.cli.options import (
     ClassesOption,
     DecoderOption,
+    DetectorOption,
+    HorizonModelOption,
+    JsonOption,
     ProviderOption,
+    RecordingsOption,
+    SceneArgument,
     ThresholdOption,
     ViewsOption,
-    options_of,
+    detector_options,
 )
+from sightline.cli.parsing import parse_names
 from sightline.detection import DEFAULT_DETECTOR, OnnxDetector
 from sightline.evaluation.comparison import number, percent
 from sightline.evaluation.detection import (
@@ -44,11 +48,9 @@ _LOWEST = 0.001
 
 
 def evaluate(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file.")],
+    scene: SceneArgument,
     detector: DetectorOption = DEFAULT_DETECTOR,
-    recordings: Annotated[
-        str | None, typer.Option(metavar="NAME,...", help="Only these recordings.")
-    ] = None,
+    recordings: RecordingsOption = None,
     labels: Annotated[
         Path | None,
         typer.Option(
@@ -84,17 +86,14 @@ def evaluate(
     threshold: ThresholdOption = None,
     provider: ProviderOption = None,
     views: ViewsOption = None,
-    model: Annotated[
-        Path | None,
-        typer.Option(metavar="MODEL", help="A fitted model, which knows where the horizon lies."),
-    ] = None,
+    model: HorizonModelOption = None,
     json: JsonOption = None,
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
     keep_apart([json], [scene, labels, model])
     loaded = Scene.load(scene)
     if recordings is not None:
-        loaded = loaded.select(name.strip() for name in recordings.split(",") if name.strip())
+        loaded = loaded.select(parse_names(recordings))
     margins = parse_margins(margin or [])
     known = {
         name: one.without_specks(least_height).widened(margins)
@@ -102,7 +101,7 @@ def evaluate(
     }
     fitted = load_model(model) if model is not None else None
     found = make_detector(
-        detector, fitted, options_of(decoder, classes, threshold, provider, views)
+        detector, fitted, detector_options(decoder, classes, threshold, provider, views)
     )
     usual = threshold if threshold is not None else 0.0
     if isinstance(found, OnnxDetector):

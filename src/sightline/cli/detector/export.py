@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import JsonOption, keep_apart, progress, say, write_result
-from sightline.errors import InputError, unknown_name
+from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.options import JsonOption
+from sightline.cli.parsing import parse_known_names, parse_size_px
+from sightline.errors import InputError
 from sightline.formats import _extras
 from sightline.training.architecture import Trainable
 from sightline.training.darknet.cfg import PUBLISHED
@@ -65,7 +67,7 @@ def export(
     keep_apart([output, json], [source, weights, names])
     if output.suffix != ".onnx":
         raise InputError(f"{output}: the file of a detector must end in .onnx")
-    size_px = _size(size)
+    size_px = parse_size_px("--size", size) if size else None
     darknet = source in PUBLISHED or source.endswith(".cfg")
     if darknet and weights is None:
         raise InputError(
@@ -81,7 +83,7 @@ def export(
             trainable = load_darknet(source, weights, names)
         else:
             trainable = load_trained(source)
-        wanted = _names(classes, trainable.class_names)
+        wanted = parse_known_names(classes, "class", trainable.class_names)
         if not wanted and darknet:
             wanted = trainable.class_names
         tell("exporting", float("nan"))
@@ -108,26 +110,3 @@ def export(
         f"by {difference:.1g}"
     )
     say(f"detector: {output}")
-
-
-def _names(text: str, known: tuple[str, ...]) -> tuple[str, ...]:
-    names = tuple(name for name in (part.strip() for part in text.split(",")) if name)
-    for name in names:
-        if name not in known:
-            raise unknown_name("class", name, known)
-    return names
-
-
-def _size(text: str) -> tuple[int, int] | None:
-    if not text:
-        return None
-    width, _, height = text.lower().partition("x")
-    try:
-        size = int(width), int(height)
-    except ValueError as error:
-        raise InputError(
-            f"--size {text!r}: expected width and height in px, for example 640x384"
-        ) from error
-    if not 32 <= min(size) <= max(size) <= 8192:
-        raise InputError(f"--size {text!r}: width and height must lie between 32 and 8192 px")
-    return size

@@ -9,8 +9,10 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from sightline.cli.common import JsonOption, folder_for_results, keep_apart, progress, say
+from sightline.cli.common import folder_for_results, keep_apart, progress, say
 from sightline.cli.common import write_result as write_json_result
+from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
+from sightline.cli.parsing import parse_names
 from sightline.errors import InputError
 from sightline.formats import write_boxes
 from sightline.formats.atomic import atomic_path
@@ -22,7 +24,7 @@ _DOUBTFUL = 0.3
 
 
 def label(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file.")],
+    scene: SceneArgument,
     model: Annotated[
         Path,
         typer.Option("--model", metavar="MODEL", help="A fitted model with a camera."),
@@ -33,9 +35,7 @@ def label(
             "--output", "-o", metavar="FOLDER", file_okay=True, help="Where the labels go."
         ),
     ],
-    recordings: Annotated[
-        str | None, typer.Option(metavar="NAME,...", help="Only these recordings.")
-    ] = None,
+    recordings: RecordingsOption = None,
     every_s: Annotated[
         float, typer.Option(min=0.0, help="Least time between two frames that are labelled.")
     ] = 1.0,
@@ -49,7 +49,7 @@ def label(
     keep_apart([json], [scene, model])
     loaded = Scene.load(scene)
     if recordings is not None:
-        loaded = loaded.select(part.strip() for part in recordings.split(",") if part.strip())
+        loaded = loaded.select(parse_names(recordings))
     fitted = load_model(model)
     size = learn_size(loaded, fitted)
     usable = [r for r in loaded.recordings if r.source is not None and r.fixes_path is not None]

@@ -8,21 +8,35 @@ from typing import Annotated
 import typer
 
 from sightline.cli.common import (
-    JsonOption,
-    SeedOption,
     keep_apart,
     progress,
     say,
     write_result,
 )
-from sightline.errors import InputError, unknown_name
+from sightline.cli.options import (
+    BatchOption,
+    CropSizeOption,
+    DeviceOption,
+    JsonOption,
+    RateOption,
+    ScalesOption,
+    SceneArgument,
+    SeedOption,
+    TaughtClassesOption,
+    ThreadsOption,
+    TrainingRecordingsOption,
+    ValidateEveryOption,
+    ValidationRecordingsOption,
+)
+from sightline.cli.parsing import parse_architecture_options, parse_names, parse_pair, parse_size_px
+from sightline.errors import unknown_name
 from sightline.formats import _extras
 from sightline.scene import Scene
 from sightline.training.architecture import ARCHITECTURES
 
 
 def train(
-    scene: Annotated[Path, typer.Argument(help="The scene file.")],
+    scene: SceneArgument,
     arch: Annotated[str, typer.Option("--arch", help=f"{', '.join(ARCHITECTURES)}.")],
     output: Annotated[
         Path,
@@ -34,12 +48,8 @@ def train(
             help="Where weights, history and the ONNX file go. A run that was stopped goes on.",
         ),
     ],
-    train: Annotated[
-        str, typer.Option(help="Recordings to learn from, with commas; absent: all others.")
-    ] = "",
-    validation: Annotated[
-        str, typer.Option(help="Recordings that choose the best weights, with commas.")
-    ] = "",
+    train: TrainingRecordingsOption = "",
+    validation: ValidationRecordingsOption = "",
     labels: Annotated[
         list[Path] | None,
         typer.Option(
@@ -55,9 +65,7 @@ def train(
             "than the target."
         ),
     ] = 1.0,
-    classes: Annotated[str, typer.Option(help="What is told apart, with commas.")] = (
-        "boat,sailboat"
-    ),
+    classes: TaughtClassesOption = "boat,sailboat",
     margin: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,12 +82,10 @@ def train(
         float,
         typer.Option(help="Of learning after which it stops, if steps are left; 0: no limit."),
     ] = 0.0,
-    batch: Annotated[int, typer.Option(help="Crops in a batch.")] = 16,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Of a crop, px.")] = "320x192",
-    scales: Annotated[
-        str, typer.Option(metavar="LOW-HIGH", help="Of the crops; 1 is the picture's own.")
-    ] = "0.2-1.5",
-    rate: Annotated[float, typer.Option(help="The highest learning rate.")] = 2e-3,
+    batch: BatchOption = 16,
+    size: CropSizeOption = "320x192",
+    scales: ScalesOption = "0.2-1.5",
+    rate: RateOption = 2e-3,
     rotation: Annotated[bool, typer.Option(help="Turn crops a little.")] = True,
     brightness: Annotated[bool, typer.Option(help="Vary brightness.")] = True,
     exposure: Annotated[bool, typer.Option(help="Vary contrast and gamma.")] = True,
@@ -99,13 +105,13 @@ def train(
         Path | None,
         typer.Option(metavar="FILE", help="Weights (.safetensors) of an earlier training."),
     ] = None,
-    validate_every: Annotated[int, typer.Option(help="Steps between two validations.")] = 500,
+    validate_every: ValidateEveryOption = 500,
     patience: Annotated[
         int, typer.Option(help="Stop after as many validations without a better one; 0: never.")
     ] = 0,
-    device: Annotated[str, typer.Option(help="auto, cpu, cuda, ...")] = "auto",
+    device: DeviceOption = "auto",
     precision: Annotated[str, typer.Option(help="auto, float32 or bfloat16.")] = "auto",
-    threads: Annotated[int, typer.Option(help="Of the CPU; 0: as many as there are.")] = 0,
+    threads: ThreadsOption = 0,
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
@@ -121,24 +127,22 @@ def train(
 
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
-    for_validation = _names(validation)
-    for_training = _names(train) or tuple(
+    for_validation = parse_names(validation)
+    for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in for_validation
     )
-    low, high = _pair("--scales", scales, "-")
-    width, height = _pair("--size", size, "x")
     recipe = Recipe(
         architecture=arch,
         train=for_training,
         validation=for_validation,
         labels=Labels(
-            class_names=_names(classes),
+            class_names=parse_names(classes),
             folders=tuple(labels or []),
             others=others,
             margins=parse_margins(margin or []),
         ),
         synthetic=synthetic,
-        size_px=(int(width), int(height)),
+        size_px=parse_size_px("--size", size),
         batch=batch,
         augmentation=Augmentation(
             rotation=rotation,
@@ -148,7 +152,7 @@ def train(
             noise=noise,
             mosaic=mosaic,
             paste=paste,
-            scales=(low, high),
+            scales=parse_pair("--scales", scales, "-"),
         ),
         training=TrainingSettings(
             steps=steps,
@@ -161,7 +165,7 @@ def train(
             precision=precision,
             threads=threads,
         ),
-        options=_options(option or []),
+        options=parse_architecture_options(option or []),
         initial=initial,
     )
     with progress() as tell:
@@ -190,39 +194,3 @@ def train(
     if for_validation:
         say(f"validation ({', '.join(for_validation)}): mAP @ 0.5 IoU {training.best_score:.3f}")
     say(f"detector: {made.path} (differs from the network by {made.export_difference:.1g})")
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name for name in (part.strip() for part in text.split(",")) if name)
-
-
-def _pair(option: str, text: str, between: str) -> tuple[float, float]:
-    first, _, second = text.partition(between)
-    try:
-        return float(first), float(second)
-    except ValueError as error:
-        raise InputError(
-            f"{option} {text!r}: expected two numbers with {between!r} between them"
-        ) from error
-
-
-def _options(texts: list[str]) -> dict[str, bool | int | float | str]:
-    """Options of an architecture: numbers and truth values where they look like it."""
-    options: dict[str, bool | int | float | str] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals or not name.isidentifier():
-            raise InputError(f"--option {text!r}: expected NAME=VALUE, for example width=1.5")
-        options[name] = _value(value)
-    return options
-
-
-def _value(text: str) -> bool | int | float | str:
-    if text in ("true", "false"):
-        return text == "true"
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text

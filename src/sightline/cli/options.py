@@ -1,0 +1,136 @@
+"""Options that several commands have: declared once, so that they are the same everywhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sightline.cli.parsing import parse_names
+from sightline.detection import VIEWS, DetectorOptions, ViewSettings
+from sightline.detection.decoders import DECODERS
+from sightline.detection.onnx import PROVIDERS
+from sightline.errors import unknown_name
+
+# Of nearly every command.
+
+SceneArgument = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file.")]
+JsonOption = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", dir_okay=False, help="Write the result as JSON."),
+]
+SeedOption = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of whatever is random.")]
+RecordingsOption = Annotated[
+    str | None, typer.Option(metavar="NAME,...", help="Only these recordings.")
+]
+
+# How positions and tracks are made.
+
+ModelNameOption = Annotated[
+    str, typer.Option("--model", help="nn, gpr, qkr, qkr+nn, qkr+gpr, camera or camera+gpr.")
+]
+TrajectoryOption = Annotated[str, typer.Option(help="rts or paper.")]
+IntervalOption = Annotated[
+    float | None,
+    typer.Option("--interval", help="Seconds between points; absent: a point a box."),
+]
+
+# When the frames of a source were taken.
+
+StartOption = Annotated[
+    str | None, typer.Option(metavar="TIME", help="When a video begins, ISO 8601.")
+]
+ClockOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="A table frame,utc that tells the times.")
+]
+
+# How a detector is run.
+
+DetectorOption = Annotated[
+    str,
+    typer.Option(metavar="NAME|FILE.onnx", help="motion, harbour, or a detector in an ONNX file."),
+]
+DecoderOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"What the ONNX file's outputs mean; absent: seen from them. {', '.join(DECODERS)}.",
+    ),
+]
+ClassesOption = Annotated[
+    str | None, typer.Option(metavar="NAME,...", help="Only boxes of these classes.")
+]
+ThresholdOption = Annotated[
+    float | None,
+    typer.Option(min=0.0, max=1.0, help="Least confidence of a box; absent: the detector's own."),
+]
+ProviderOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"What the network runs on: {', '.join(PROVIDERS)}; absent: a GPU where there is one.",
+    ),
+]
+ViewsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help=f"Which parts of a frame are looked at: {', '.join(VIEWS)}; absent: the detector's "
+        "own choice.",
+    ),
+]
+HorizonModelOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--model",
+        metavar="MODEL",
+        help="A fitted model, which knows where the horizon lies.",
+    ),
+]
+
+# How detectors are trained.
+
+TrainingRecordingsOption = Annotated[
+    str,
+    typer.Option("--train", help="Recordings to learn from, with commas; absent: all others."),
+]
+ValidationRecordingsOption = Annotated[
+    str,
+    typer.Option("--validation", help="Recordings that choose the best weights, with commas."),
+]
+TaughtClassesOption = Annotated[
+    str, typer.Option("--classes", help="What is told apart, with commas.")
+]
+BatchOption = Annotated[int, typer.Option(help="Crops in a batch.")]
+CropSizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Of a crop, px.")]
+ScalesOption = Annotated[
+    str, typer.Option(metavar="LOW-HIGH", help="Of the crops; 1 is the picture's own.")
+]
+RateOption = Annotated[float, typer.Option(help="The highest learning rate.")]
+ValidateEveryOption = Annotated[int, typer.Option(help="Steps between two validations.")]
+DeviceOption = Annotated[str, typer.Option(help="auto, cpu, cuda, ...")]
+ThreadsOption = Annotated[int, typer.Option(help="Of the CPU; 0: as many as there are.")]
+
+
+def detector_options(
+    decoder: str | None,
+    classes: str | None,
+    threshold: float | None,
+    provider: str | None,
+    views: str | None,
+) -> DetectorOptions:
+    """The options of a detector as the command line gives them.
+
+    Raises:
+        InputError: A name is not known.
+    """
+    if views is not None and views not in VIEWS:
+        raise unknown_name("kind of views", views, VIEWS)
+    return DetectorOptions(
+        decoder=decoder,
+        classes=parse_names(classes) if classes is not None else None,
+        threshold=threshold,
+        provider=provider,
+        views=ViewSettings(kind=views) if views is not None else None,
+    )
