@@ -3,8 +3,9 @@
 import numpy as np
 
 from sightline.association.horizon import shore_landmarks
-from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
+from sightline.detection.water_edge import StillPicture, WaterEdge, find_water_edge
 from sightline.inference.camera import Camera
+from sightline.types import Frame
 
 CAMERA = Camera(
     height_m=4.0,
@@ -18,6 +19,13 @@ CAMERA = Camera(
     north_m=0.0,
     image_size_px=(1280, 720),
 )
+
+
+def still_picture(images):
+    still = StillPicture()
+    for i, image in enumerate(images):
+        still.look(Frame(i, float(i), image))
+    return still.picture()
 
 
 def picture(edge_row, rng, waves=6.0):

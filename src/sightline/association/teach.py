@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
 from sightline.association.horizon import shore_landmarks
@@ -22,7 +20,7 @@ from sightline.detection import (
     check_detector_name,
     lower_edges_of,
 )
-from sightline.detection.water_edge import WaterEdge, find_water_edge, still_picture
+from sightline.detection.water_edge import WaterEdge, find_water_edge
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import Camera
@@ -103,7 +101,7 @@ def fit_scene(
     if drawn or not able:
         return fit(scene, model, seed=seed, extra=extra)
     if seen is None and detector is not None:
-        seen = SceneDetections(scene, detector, progress)
+        seen = SceneDetections(scene, detector, progress, stills=True)
     association = associate_scene(
         scene,
         detector=detector,
@@ -112,7 +110,12 @@ def fit_scene(
         progress=progress,
     )
     return fit_association(
-        scene, association, model, seed=seed, lower_edges=seen.lower_edges if seen else None
+        scene,
+        association,
+        model,
+        seed=seed,
+        lower_edges=seen.lower_edges if seen else None,
+        seen=seen,
     )
 
 
@@ -191,6 +194,7 @@ def fit_association(
     *,
     seed: int = 0,
     lower_edges: Mapping[str, LowerEdge | None] | None = None,
+    seen: SceneDetections | None = None,
 ) -> Georeferencer:
     """Learn a georeferencer from what was recognised.
 
@@ -200,13 +204,14 @@ def fit_association(
         model: One of `MODELS`.
         seed: Of whatever is random in the fit.
         lower_edges: Where the boxes of each source end, as `SceneDetections` tells.
+        seen: Who has looked at the scene's pictures already.
 
     Raises:
         FitError: There are too few boxes.
     """
     plane = scene.plane
     assert plane is not None, "association needs the camera's place"
-    landmarks = scene_landmarks(scene, association)
+    landmarks = scene_landmarks(scene, association, seen)
     pairs = recognised_pairs(association, plane)
     beliefs = _measured(pairs, association.camera, lower_edges)
     fitted = fit_pairs(
@@ -299,7 +304,7 @@ def update_scene(
             ),
         )
         if seen is None and detector is not None:
-            seen = SceneDetections(moved_scene, detector, progress)
+            seen = SceneDetections(moved_scene, detector, progress, stills=True)
         association = associate_scene(
             moved_scene,
             detector=detector,
@@ -308,7 +313,7 @@ def update_scene(
             progress=progress,
         )
         pairs = recognised_pairs(association, old.plane)
-        landmarks = scene_landmarks(scene, association)
+        landmarks = scene_landmarks(scene, association, seen)
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
@@ -398,33 +403,32 @@ def _measured(
     return out
 
 
-def scene_landmarks(scene: Scene, association: Association) -> Landmarks:
-    """What the edge of the water in the recordings' pictures tells; none where it is not seen."""
+def scene_landmarks(
+    scene: Scene, association: Association, seen: SceneDetections | None = None
+) -> Landmarks:
+    """What the edge of the water in the recordings' pictures tells; none where it is not seen.
+
+    Args:
+        scene: The scene.
+        association: Of the scene.
+        seen: Who has looked at the pictures already.
+    """
+    seen = seen or SceneDetections(scene, None)
     width = scene.image_size_px[0]
     edges = [
         edge
         for name in association.offset_s
         if scene[name].source is not None
-        and (edge := _edge(scene[name], association.camera, width)) is not None
+        and (edge := _edge(scene[name], association.camera, width, seen)) is not None
     ]
     afloat = [path.east_north_m for watch in association.watches for path in watch.paths]
     return shore_landmarks(edges, association.camera, afloat)
 
 
-# Leaving one recording out at a time asks again and again, and to look at pictures takes long.
-@lru_cache(maxsize=32)
-def _still(recording: Recording, _modified_ns: int) -> NDArray[np.uint8]:
-    images = (
-        frame.image_bgr
-        for i, frame in enumerate(recording.frames())
-        if recording.frames_path or i % 25 == 0
-    )
-    return still_picture(images)
-
-
-def _edge(recording: Recording, camera: Camera, width: int) -> WaterEdge | None:
-    assert recording.source is not None, "the caller has looked"
-    still = _still(recording, recording.source.stat().st_mtime_ns)
+def _edge(
+    recording: Recording, camera: Camera, width: int, seen: SceneDetections
+) -> WaterEdge | None:
+    still = seen.still(recording)
     if still.shape[1] != width:
         return None
     return find_water_edge(still, camera.horizon_y_px(np.arange(float(width))))

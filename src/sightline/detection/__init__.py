@@ -8,11 +8,14 @@ from sightline.detection.by_name import (
 )
 from sightline.detection.detector import Detector
 from sightline.detection.looking import (
+    Looker,
     Progress,
     SceneDetections,
     detect,
     frame_count,
+    look,
     lower_edges_of,
+    shown,
 )
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.motion import MotionDetector, MotionSettings
@@ -25,6 +28,7 @@ __all__ = [
     "VIEWS",
     "Detector",
     "DetectorOptions",
+    "Looker",
     "LowerEdge",
     "MotionDetector",
     "MotionSettings",
@@ -37,5 +41,7 @@ __all__ = [
     "detect",
     "detector_by_name",
     "frame_count",
+    "look",
     "lower_edges_of",
+    "shown",
 ]

@@ -3,22 +3,56 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline import video
 from sightline.detection.by_name import DEFAULT_DETECTOR, detector_by_name
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
+from sightline.detection.water_edge import StillPicture
 from sightline.errors import InputError
 from sightline.scene import Recording, Scene
 from sightline.types import Boxes, FloatArray, Frame
 
 Progress = Callable[[str, float], None]
 """Told what is being done and what share of it is done, 0 to 1; NaN where nobody knows."""
+
+
+class Looker(Protocol):
+    """Whatever is shown pictures one after another, and remembers of them what it is for.
+
+    What it has found out it tells by attributes or methods of its own.
+    """
+
+    def look(self, frame: Frame) -> object:
+        """Look at the next picture; they come in the order of time."""
+        ...
+
+
+def shown(frames: Iterable[Frame], lookers: Iterable[Looker]) -> Iterator[Frame]:
+    """Hand pictures on, each when all have looked at it: one pass serves them all.
+
+    Args:
+        frames: In the order of time.
+        lookers: Are shown each picture.
+    """
+    lookers = tuple(lookers)
+    for frame in frames:
+        for looker in lookers:
+            looker.look(frame)
+        yield frame
+
+
+def look(frames: Iterable[Frame], lookers: Iterable[Looker]) -> None:
+    """Show pictures to all lookers, to the last one."""
+    for _ in shown(frames, lookers):
+        pass
 
 
 def detect(
@@ -96,27 +130,40 @@ def lower_edges_of(detector: str) -> dict[str, LowerEdge | None]:
 
 
 class SceneDetections:
-    """What a detector finds in the pictures of a scene, each recording looked at once."""
+    """What is found in the pictures of a scene, decoded as seldom as can be.
+
+    Whatever wants to look at a recording's pictures at the same time as the detector is shown them
+    in the same pass. A pass holds one picture at a time.
+    """
 
     def __init__(
-        self, scene: Scene, detector: str = DEFAULT_DETECTOR, progress: Progress | None = None
+        self,
+        scene: Scene,
+        detector: str | None = DEFAULT_DETECTOR,
+        progress: Progress | None = None,
+        *,
+        stills: bool = False,
     ) -> None:
         """Take the detector's name.
 
         Args:
             scene: Whose recordings are to be looked at.
-            detector: As `detector_by_name` takes it.
+            detector: As `detector_by_name` takes it; None: no boxes are asked for.
             progress: Told how far it is.
+            stills: Whether still pictures will be asked for too: then they are made in the
+                detector's pass, and none of their own is needed.
 
         Raises:
             InputError: The detector is not known.
         """
         # Unknown names are told before the work begins.
-        self._lower_edges = lower_edges_of(detector)
+        self._lower_edges = lower_edges_of(detector) if detector is not None else {}
         self._scene = scene
         self._detector = detector
         self._tell = progress or (lambda _what, _share: None)
+        self._stills_wanted = stills
         self._found: dict[str, tuple[Boxes, FloatArray]] = {}
+        self._stills: dict[str, NDArray[np.uint8]] = {}
 
     @property
     def lower_edges(self) -> Mapping[str, LowerEdge | None]:
@@ -130,31 +177,70 @@ class SceneDetections:
             InputError: The pictures cannot be read, have no times, or another size than the
                 scene's.
         """
-        return self._look(recording)[0]
+        self.detect(recording)
+        return self._found[recording.name][0]
 
     def times_utc_s(self, recording: Recording) -> FloatArray:
         """(N,) the times of its pictures; raises as `boxes`."""
-        return self._look(recording)[1]
+        self.detect(recording)
+        return self._found[recording.name][1]
 
-    def _look(self, recording: Recording) -> tuple[Boxes, FloatArray]:
-        if recording.name not in self._found:
-            assert recording.source is not None, "a recording has boxes, detections or pictures"
-            times: list[float] = []
+    def still(self, recording: Recording) -> NDArray[np.uint8]:
+        """(H, W) grey: what stands still in a recording's pictures; see `StillPicture`.
 
-            def noted(frames: Iterable[Frame]) -> Iterator[Frame]:
-                for frame in frames:
-                    times.append(frame.time_utc_s)
-                    yield frame
+        Raises:
+            InputError: The pictures cannot be read.
+        """
+        if recording.name not in self._stills:
+            looker = StillPicture.of(recording)
+            for frame in recording.frames():
+                looker.look(frame)
+                if looker.seen_enough:
+                    break
+            self._stills[recording.name] = looker.picture()
+        return self._stills[recording.name]
 
-            where = f"recording {recording.name}"
-            frames = usable(recording.frames(), self._scene.image_size_px, where)
-            found = list(
-                detect(
-                    noted(frames),
-                    detector_by_name(self._detector),
-                    frame_count(recording.source),
-                    lambda _what, share: self._tell(f"detecting in {recording.name}", share),
-                )
+    def detect(self, recording: Recording, beside: Sequence[Looker] = ()) -> None:
+        """Let the detector look at a recording's pictures, if it has not yet, and others with it.
+
+        Args:
+            recording: One with pictures.
+            beside: Are shown the pictures in any case.
+
+        Raises:
+            InputError: As `boxes`.
+        """
+        assert recording.source is not None, "a recording has boxes, detections or pictures"
+        if recording.name in self._found:
+            if beside:
+                look(recording.frames(), beside)
+            return
+        assert self._detector is not None, "boxes are asked for where there is a detector"
+        times, lookers = _Times(), list(beside)
+        still: StillPicture | None = None
+        if self._stills_wanted and recording.name not in self._stills:
+            still = StillPicture.of(recording)
+            lookers.append(still)
+        where = f"recording {recording.name}"
+        frames = usable(recording.frames(), self._scene.image_size_px, where)
+        found = list(
+            detect(
+                shown(frames, [times, *lookers]),
+                detector_by_name(self._detector),
+                frame_count(recording.source),
+                lambda _what, share: self._tell(f"detecting in {recording.name}", share),
             )
-            self._found[recording.name] = Boxes.concatenate(found), np.array(times)
-        return self._found[recording.name]
+        )
+        self._found[recording.name] = Boxes.concatenate(found), np.array(times.utc_s)
+        if still is not None:
+            self._stills[recording.name] = still.picture()
+
+
+class _Times:
+    """Notes when pictures were taken."""
+
+    def __init__(self) -> None:
+        self.utc_s: list[float] = []
+
+    def look(self, frame: Frame) -> None:
+        self.utc_s.append(frame.time_utc_s)

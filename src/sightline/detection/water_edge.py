@@ -8,15 +8,16 @@ posts and quays hide it in some columns, and the median over the columns does no
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.types import FloatArray
+from sightline.scene import Recording
+from sightline.types import FloatArray, Frame
 
+_EVERY_OF_VIDEO = 25
 _COLUMN_PX = 8
 _BLUR_PX = 0.5
 # The land's height in the picture that is compared with as much water below it.
@@ -42,14 +43,46 @@ class WaterEdge:
     share: float
 
 
-def still_picture(images_bgr: Iterable[NDArray[np.uint8]], most: int = 25) -> NDArray[np.uint8]:
-    """The median of pictures, grey, (H, W) uint8; of the first ``most``."""
-    grey = []
-    for image in images_bgr:
-        grey.append(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
-        if len(grey) == most:
-            break
-    return np.asarray(np.median(np.stack(grey), axis=0), dtype=np.uint8)
+class StillPicture:
+    """The median of some pictures: waves average out in it, and what stands still stays sharp."""
+
+    def __init__(self, every: int = 1, most: int = 25) -> None:
+        """Begin without a picture.
+
+        Args:
+            every: One in so many pictures is taken, from the first one on.
+            most: So many are taken.
+        """
+        self._every, self._most = every, most
+        self._passed = 0
+        self._grey: list[NDArray[np.uint8]] = []
+
+    @classmethod
+    def of(cls, recording: Recording) -> StillPicture:
+        """To be shown the pictures of a recording, from the first one on."""
+        # A folder holds pictures that somebody chose; in a video neighbours show the same waves.
+        return cls(every=1 if recording.frames_path is not None else _EVERY_OF_VIDEO)
+
+    @property
+    def seen_enough(self) -> bool:
+        """Whether further pictures change nothing."""
+        return len(self._grey) == self._most
+
+    def look(self, frame: Frame) -> None:
+        """Take the next picture, where it is its turn; not one of another size than the first."""
+        due = self._passed % self._every == 0
+        self._passed += 1
+        if self.seen_enough or not due:
+            return
+        grey = np.asarray(cv2.cvtColor(frame.image_bgr, cv2.COLOR_BGR2GRAY))
+        if not self._grey or grey.shape == self._grey[0].shape:
+            self._grey.append(grey)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """(H, W) grey: the median of what was taken."""
+        # Row by row: the whole stack would be copied to be put in order.
+        rows = zip(*self._grey, strict=True)
+        return np.stack([np.median(np.stack(row), axis=0).astype(np.uint8) for row in rows])
 
 
 def find_water_edge(
@@ -58,7 +91,7 @@ def find_water_edge(
     """Look for the edge of the water near where it is expected.
 
     Args:
-        still: (H, W) grey, as `still_picture` makes it.
+        still: (H, W) grey, as `StillPicture` makes it.
         near_row_px: (W,) where the horizon is expected in each column; NaN where it is not.
         reach_px: How far off it may be.
 

@@ -8,7 +8,6 @@ as its foot is. Turns about the vertical do not show in the horizon: those are t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -77,7 +76,10 @@ def scene_horizons(recording: Recording) -> Horizons | None:
 @lru_cache(maxsize=32)
 def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
     watch = HorizonWatch()
-    found = [watch.seen for _ in watch.over(recording.frames())]
+    found = []
+    for frame in recording.frames():
+        watch.look(frame)
+        found.append(watch.seen)
     return Horizons(
         *(
             np.concatenate([getattr(one, name) for one in found])
@@ -87,23 +89,21 @@ def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
 
 
 class HorizonWatch:
-    """Looks for the horizon in frames as they pass.
+    """Looks for the horizon in frames, one after another.
 
     Attributes:
-        seen: Of the last frame that passed; without a row where none was found in it.
+        seen: Of the last frame looked at; without a row where none was found in it.
     """
 
     def __init__(self) -> None:
         """Begin without a frame."""
         self.seen = Horizons(np.empty(0), np.empty(0), np.empty(0))
 
-    def over(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        """Hand frames on, each after a look at it."""
-        for frame in frames:
-            line = find_waterline(frame.image_bgr)
-            rows = np.array([] if line is None else [[frame.time_utc_s, *line]]).reshape(-1, 3)
-            self.seen = Horizons(*rows[np.isfinite(rows).all(axis=1)].T)
-            yield frame
+    def look(self, frame: Frame) -> None:
+        """Look at the next frame."""
+        line = find_waterline(frame.image_bgr)
+        rows = np.array([] if line is None else [[frame.time_utc_s, *line]]).reshape(-1, 3)
+        self.seen = Horizons(*rows[np.isfinite(rows).all(axis=1)].T)
 
 
 def nominal_camera(image_size_px: tuple[int, int]) -> Camera:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 
 import numpy as np
 
+from sightline.detection import look
 from sightline.detection.camera_motion import CameraMotionWatch, CameraTurn
 from sightline.inference.georeferencer import Georeferencer
 from sightline.scene import Recording
@@ -34,8 +34,14 @@ class StandingWatch:
         turns: So far, in the order of time.
     """
 
-    def __init__(self, model: Georeferencer) -> None:
-        """Take from the model where the horizon lies."""
+    def __init__(self, model: Georeferencer, warn_of: str | None = None) -> None:
+        """Take from the model where the horizon lies.
+
+        Args:
+            model: Of the camera.
+            warn_of: The source, where each turn is to be warned of as it is noticed.
+        """
+        self._warn_of = warn_of
         self.turns: list[CameraTurn] = []
         self._size_px = model.image_size_px
         self._watch = _watch(model)
@@ -56,20 +62,19 @@ class StandingWatch:
         turn = self._watch.update(frame)
         if turn is not None:
             self.turns.append(turn)
+            if self._warn_of is not None:
+                _logger.warning("%s: %s", self._warn_of, turn_sentence(turn))
         return turn
 
-    def over(self, frames: Iterable[Frame], where: str) -> Iterator[Frame]:
-        """Hand pictures on, and warn of each turn as it is noticed.
+    def note(self, recording: str) -> str | None:
+        """The turns in a sentence or more; None where there was none.
 
         Args:
-            frames: In the order of time.
-            where: Begins the warning: the source.
+            recording: Its name.
         """
-        for frame in frames:
-            turn = self.look(frame)
-            if turn is not None:
-                _logger.warning("%s: %s", where, turn_sentence(turn))
-            yield frame
+        if not self.turns:
+            return None
+        return f"Recording {recording}: {' '.join(map(turn_sentence, self.turns))}"
 
 
 def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
@@ -88,12 +93,8 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
     watch = StandingWatch(model)
     if recording.source is None or not watch.able:
         return None
-    for frame in recording.frames():
-        watch.look(frame)
-    if not watch.turns:
-        return None
-    said = " ".join(turn_sentence(turn) for turn in watch.turns)
-    return f"Recording {recording.name}: {said}"
+    look(recording.frames(), [watch])
+    return watch.note(recording.name)
 
 
 def turn_sentence(turn: CameraTurn) -> str:

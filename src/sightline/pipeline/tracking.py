@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline import formats, video
 from sightline.clock import Clock
-from sightline.detection import Detector, Progress, detect, frame_count
+from sightline.detection import Detector, Looker, Progress, detect, frame_count, shown
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.levelling import HorizonWatch
@@ -175,10 +175,11 @@ def iter_tracks(
     else:
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = fit_for_use(frames, model, str(source))
-        usable = StandingWatch(model).over(usable, str(source))
+        lookers: list[Looker] = [StandingWatch(model, warn_of=str(source))]
         if model.horizon_px is not None:
             watch = HorizonWatch()
-            usable = watch.over(usable)
+            lookers.append(watch)
+        usable = shown(usable, lookers)
         batches = detect(usable, make_detector(detector, model), frame_count(source), progress)
         clock, highest_id = None, NO_TRACK
     where = "" if isinstance(source, Boxes) else f"{source}: "

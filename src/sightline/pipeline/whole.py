@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sightline.association.teach import fit_scene
-from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
+from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections, look
 from sightline.errors import FitError
 from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
@@ -22,7 +22,7 @@ from sightline.pipeline.boxes import (
     timed,
 )
 from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
-from sightline.pipeline.standing import camera_turns
+from sightline.pipeline.standing import StandingWatch
 from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.scene import Recording, Scene
 from sightline.tracking import iou
@@ -84,7 +84,7 @@ def run(
     """
     settings = settings or TrackSettings()
     tell = progress or (lambda _what, _share: None)
-    seen = SceneDetections(scene, detector, tell)
+    seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
     tell("fitting", float("nan"))
     fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
@@ -106,6 +106,7 @@ def run(
     for recording in scene.recordings:
         tell(f"tracking {recording.name}", float("nan"))
         held = models.get(recording.name, fitted)
+        watch = _watched(recording, fitted, seen)
         try:
             made = track_recording(recording, fitted, seen, settings)
             judged = made if held is fitted else track_recording(recording, held, seen, settings)
@@ -116,7 +117,7 @@ def run(
             if _unseen(recording):
                 detected.append(recording.name)
         tracks[recording.name] = Tracks(tuple(made))
-        turned = camera_turns(recording, fitted)
+        turned = watch.note(recording.name)
         if turned is not None:
             notes.append(turned)
         pairs = _against_log(recording, judged, held.log_sigma_m)
@@ -227,6 +228,21 @@ def track_recording(
     with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
     level = (model.level(boxes, horizons) for boxes in with_times)
     return list(follow(level, model, smoother, settings, highest_id, platform))
+
+
+def _watched(recording: Recording, model: Georeferencer, seen: SceneDetections) -> StandingWatch:
+    """A watch that has seen a recording's pictures, if there are any.
+
+    The model tells where to look. So pictures that the detector has searched for the fit are
+    decoded again; those that it searches afterwards are not.
+    """
+    watch = StandingWatch(model)
+    if watch.able and recording.source is not None:
+        if _unseen(recording):
+            seen.detect(recording, [watch])
+        else:
+            look(recording.frames(), [watch])
+    return watch
 
 
 def _against_log(
