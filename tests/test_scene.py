@@ -105,6 +105,12 @@ def test_control_points_in_the_scene_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(scene.control_points.latitude_deg, [51.0, 51.0])
 
 
+def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path: Path) -> None:
+    path = write_scene(tmp_path, '[[recordings]]\nname = "Süd"\nboxes = "timed.csv"\n')
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert [recording.name for recording in Scene.load(path).recordings] == ["Süd"]
+
+
 def load(folder: Path, recording: str, camera: str = "") -> Scene:
     return Scene.load(write_scene(folder, f'{camera}\n[[recordings]]\nname = "a"\n{recording}\n'))
 

@@ -102,8 +102,18 @@ def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
         with TemporaryDirectory(prefix=".", dir=folder) as name:
             made = Path(name)
             paths = _write_into(result, made)
-            for path in [path for path in made.rglob("*") if path.is_file()]:
-                final = folder / path.relative_to(made)
+            places = [
+                (path, folder / path.relative_to(made))
+                for path in made.rglob("*")
+                if path.is_file()
+            ]
+            # All that can be known to fail does so before anything takes its place.
+            for _, final in places:
+                if final.is_dir():
+                    raise InputError(f"{final}: is a folder, where a file has to go")
+                if final.parent.exists() and not final.parent.is_dir():
+                    raise InputError(f"{final.parent}: is a file, where a folder has to go")
+            for path, final in places:
                 final.parent.mkdir(parents=True, exist_ok=True)
                 path.replace(final)
     except OSError as error:

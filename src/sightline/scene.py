@@ -328,7 +328,9 @@ class Scene:
                 _recording(Path(path), base, i, recording, camera.image_size_px)
                 for i, recording in enumerate(table.recordings)
             ),
-            control_points=_control_points(Path(path), base, table.control_points),
+            control_points=_control_points(
+                Path(path), base, table.control_points, camera.image_size_px
+            ),
             path=Path(path),
         )
 
@@ -486,14 +488,15 @@ def _parse(path: Path) -> _SceneTable:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected a scene file, as {path / 'scene.toml'}")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        # Some editors begin a file with a byte order mark.
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such scene file") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text in UTF-8, so it is no scene file") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is no TOML: {error}") from error
     try:
         return _SceneTable.model_validate(content)
@@ -517,6 +520,8 @@ def _first_problem(error: ValidationError) -> str:
         return f"unknown key {where}; known are {known}"
     if problem["type"] == "missing":
         return f"{where} is missing"
+    if problem["type"] == "model_type":
+        return f"{where}: expected a table of keys and values; it is {problem['input']!r}"
     message = problem["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     given = problem["input"]
@@ -551,21 +556,39 @@ def _recording(
 
 
 def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:
-    if not path.exists():
+    # os.path answers where pathlib raises: for a name that is too long, or a folder that is closed.
+    if not os.path.exists(path):
         raise InputError(f"{scene}: {key} names {path}, which does not exist")
-    if path.is_dir() != folder:
+    if os.path.isdir(path) != folder:
         raise InputError(
             f"{scene}: {key} names {path}, which is a {'file' if folder else 'folder'}; "
             f"expected a {'folder of FRAME.jpg' if folder else 'file'}"
         )
 
 
-def _control_points(scene: Path, base: Path, points: list[_PointTable] | str) -> ControlPoints:
+def _control_points(
+    scene: Path,
+    base: Path,
+    points: list[_PointTable] | str,
+    image_size_px: tuple[int, int] | None,
+) -> ControlPoints:
     if isinstance(points, str):
         _check_there(scene, "control_points", base / points, False)
-        return formats.read_control_points(base / points)
-    return ControlPoints(
-        pixel_px=np.array([point.pixel_px for point in points]).reshape(-1, 2),
-        latitude_deg=np.array([point.latitude_deg for point in points]),
-        longitude_deg=np.array([point.longitude_deg for point in points]),
-    )
+        where, found = str(base / points), formats.read_control_points(base / points)
+    else:
+        where = str(scene)
+        found = ControlPoints(
+            pixel_px=np.array([point.pixel_px for point in points]).reshape(-1, 2),
+            latitude_deg=np.array([point.latitude_deg for point in points]),
+            longitude_deg=np.array([point.longitude_deg for point in points]),
+        )
+    if image_size_px is not None:
+        outside = ((found.pixel_px < 0.0) | (found.pixel_px > image_size_px)).any(axis=1)
+        if outside.any():
+            i = int(np.argmax(outside))
+            x, y = found.pixel_px[i]
+            raise InputError(
+                f"{where}: control point {i + 1} ({x:g}, {y:g} px) lies outside the picture of "
+                f"{image_size_px[0]} x {image_size_px[1]} px"
+            )
+    return found

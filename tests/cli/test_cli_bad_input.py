@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
@@ -39,7 +40,12 @@ MODELS = r"known are nn, gpr, qkr, qkr\+nn, qkr\+gpr, camera, camera\+gpr"
 def write(name: str, text: str | bytes) -> Spoil:
     """Put something else into a file."""
     content = text.encode() if isinstance(text, str) else text
-    return lambda folder: (folder / name).write_bytes(content) and None
+
+    def spoil(folder: Path) -> None:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+
+    return spoil
 
 
 def remove(name: str) -> Spoil:
@@ -126,6 +132,24 @@ def tracks_file(*rows: str) -> Spoil:
     return write("t.csv", "track_id,time_utc,latitude_deg,longitude_deg\n" + "\n".join(rows))
 
 
+def to_itself(folder: Path) -> None:
+    (folder / "scene.toml").unlink()
+    (folder / "scene.toml").symlink_to("scene.toml")
+
+
+def log_table(*rows: str) -> Spoil:
+    """Another log: a table."""
+    header = "time_utc,latitude_deg,longitude_deg\n"
+    return both(
+        write("log.csv", header + "\n".join(rows)),
+        replace("scene.toml", r"target\.gpx", "log.csv"),
+    )
+
+
+def boxes_table(more: str, row: str) -> Spoil:
+    return write("boxes/01.csv", f"frame,x1,y1,x2,y2{more}\n{row}\n")
+
+
 ROW = "2023-11-14T22:13:2{}Z,32.7,-117.2"
 GPX = '<gpx version="1.1" creator="x"><trk><trkseg>{}</trkseg></trk></gpx>'
 POINT = '<trkpt lat="{}" lon="-117"><time>2023-11-14T22:13:2{}Z</time></trkpt>'
@@ -175,6 +199,36 @@ SCENES = [
         remove("boxes/02.csv"),
         RUN,
         r"recordings\[2\]\.boxes names .*02\.csv, which does not exist",
+    ),
+    ("nested too deep", write("scene.toml", "a = " + 5000 * "["), FIT, r"scene\.toml: is no TOML"),
+    (
+        "a number without end",
+        write("scene.toml", "[camera]\nlatitude_deg = 1" + 5000 * "0"),
+        FIT,
+        r"scene\.toml: is no TOML",
+    ),
+    (
+        "no table",
+        write("scene.toml", "camera = [1]\n"),
+        FIT,
+        r"scene\.toml: camera: expected a table of keys and values; it is \[1\]",
+    ),
+    (
+        "a name that is too long",
+        replace("scene.toml", r'boxes = "[^"]*"', f'boxes = "{300 * "a"}"'),
+        FIT,
+        r"recordings\[1\]\.boxes names .*aaa, which does not exist",
+    ),
+    ("a link to itself", to_itself, FIT, r"scene\.toml: cannot be read: Too many levels"),
+    (
+        "a control point outside the picture",
+        write(
+            "scene.toml",
+            "[camera]\nimage_size_px = [640, 360]\n"
+            "[[control_points]]\npixel_px = [3, 361]\nlatitude_deg = 1.0\nlongitude_deg = 0.0\n",
+        ),
+        FIT,
+        r"scene\.toml: control point 1 \(3, 361 px\) lies outside the picture of 640 x 360 px",
     ),
     ("no model", nothing, SCENE, r"give --model MODEL"),
     (
@@ -298,6 +352,24 @@ BOXES = [
         FIT,
         r"line 2: 87\S* is no confidence between 0 and 1",
     ),
+    (
+        "a frame beyond all numbers",
+        boxes_table("", "1e30,1,2,3,4"),
+        FIT,
+        r"01\.csv, line 2: 1e\+30 is too large a number \(frame\)",
+    ),
+    (
+        "a track beyond all numbers",
+        boxes_table(",track_id", "0,1,2,3,4,9223372036854775808"),
+        TRACK + CLOCK,
+        r"01\.csv, line 2: 9\S+ is too large a number \(track_id\)",
+    ),
+    (
+        "a time beyond all times",
+        boxes_table(",time_utc", "0,1,2,3,4,1e300"),
+        TRACK,
+        r"01\.csv, line 2: 1e\+300 is no time",
+    ),
     ("few pairs", few_pairs, FIT, r"2 pairs of a box and a fix; a camera needs at least 3"),
     (
         "few pairs for the paper's model",
@@ -384,6 +456,39 @@ LOGS = [
         FIT,
         r"log\.csv, line 2: latitude -117, longitude 32 is not on the earth.*swapped",
     ),
+    *(
+        (f"the time {time}", log_table(f"{time},32,-117"), FIT, rf"line 2: {shown} is no time")
+        for time, shown in [
+            ("1e300", r"1e\+300"),
+            ("-1e12", r"-1000000000000\.0"),
+            ("inf", "inf"),
+            ("9999-12-31", "9999-12-31"),
+        ]
+    ),
+    (
+        "a cell without end",
+        log_table(f"{100_000 * 'x'},32,-117"),
+        FIT,
+        r"log\.csv, line 2: x{77}\.\.\. is no time",
+    ),
+    (
+        "nothing but noise",
+        both(
+            write("log.nmea", "$GPRMC,100000,A,5419.4,N,01008.4,E,1,1,010624,,*00\n"),
+            replace("scene.toml", r"target\.gpx", "log.nmea"),
+        ),
+        FIT,
+        r"log\.nmea: no sentence is usable; 1 of 1 are spoilt",
+    ),
+    (
+        "nothing but noise from AIS",
+        both(
+            write("log.nmea", "!AIVDM,1,1,,A,zzzzzzz,0*00\n"),
+            replace("scene.toml", r"target\.gpx", "log.nmea"),
+        ),
+        FIT,
+        r"log\.nmea: holds no usable AIS position report; 1 are spoilt",
+    ),
     (
         "several vessels",
         both(nothing, replace("scene.toml", r"target\.gpx", "ais.nmea")),
@@ -448,6 +553,24 @@ PICTURES = [
         cut("frames/007.png", 0.5),
         FRAMES + " --clock {h}/frames.csv",
         r"007\.png: is no picture that can be read, or is damaged",
+    ),
+    (
+        "a frame beyond all numbers",
+        lambda h: (h / "frames/007.png").rename(h / f"frames/{20 * '9'}.png") and None,
+        FRAMES,
+        r"9\.png: its number is too large for that of a frame",
+    ),
+    (
+        "a name that is too long",
+        nothing,
+        VIDEO.replace("boat", 300 * "a"),
+        r"aaa\.mp4: there is no such video, folder or table",
+    ),
+    (
+        "a name that is too long, to detect",
+        nothing,
+        f"detect {{h}}/{300 * 'a'}.mp4 -o {{t}}/out/d.csv",
+        r"aaa\.mp4: there is no such video or folder",
     ),
     ("no time", nothing, FRAMES, r"frames: nothing tells the time of frame 0"),
     (
@@ -524,6 +647,24 @@ FILES = [
         "evaluate {h}/t.geojson --fixes {h}/target.gpx",
         r"t\.geojson: is no JSON, is damaged, or is cut short",
     ),
+    (
+        "damaged Parquet",
+        write("t.parquet", b"PAR1" + bytes(50) + b"PAR1"),
+        "evaluate {h}/t.parquet --fixes {h}/target.gpx",
+        r"t\.parquet: is no Parquet file, is damaged",
+    ),
+    (
+        "a damaged GeoPackage",
+        write("t.gpkg", b"SQLite format 3\0" + bytes(500)),
+        "evaluate {h}/t.gpkg --fixes {h}/target.gpx",
+        r"t\.gpkg: is no GeoPackage",
+    ),
+    (
+        "a track beyond all numbers",
+        tracks_file("1e30," + ROW.format(1)),
+        TRACKS,
+        r"t\.csv, line 2: 1e\+30 is too large a number \(track_id\)",
+    ),
     ("no log", tracks_file("1," + ROW.format(1)), "evaluate {h}/t.csv", r"give --fixes LOG"),
     (
         "no such track",
@@ -574,6 +715,38 @@ PLACES = [
     ("no interval", nothing, TRACK + CLOCK + " --interval nan", r"interval_s is nan s"),
     ("an endless interval", nothing, RUN + " --interval inf", r"interval_s is inf s"),
     ("an endless video", nothing, "simulate -o {t}/out --duration inf", r"inf s is not to be had"),
+    ("a day and more", nothing, "simulate -o {t}/out --duration 1e6", r"give 1 to 86400 s"),
+    ("a forecast of years", nothing, TRACK + CLOCK + " --forecast 1e9", r"may be 500000 s at most"),
+    (
+        "JSON below a file, with a folder of results",
+        nothing,
+        RUN + " --model qkr --json {h}/scene.toml/x.json",
+        r"scene\.toml/x\.json: cannot be written",
+    ),
+    (
+        "JSON below a file, with a harbour",
+        nothing,
+        "simulate -o {t}/out --no-video --duration 5 --json {h}/scene.toml/x.json",
+        r"scene\.toml/x\.json: cannot be written",
+    ),
+    (
+        "a name of a result that is too long",
+        nothing,
+        TRACK.replace("t.csv", 300 * "a" + ".csv") + CLOCK,
+        r"aaa\.csv: cannot be written",
+    ),
+    (
+        "a file where tracks go",
+        write("out/tracks", ""),
+        "run {h}/scene.toml -o {h}/out --model qkr",
+        r"out/tracks: is a file, where a folder has to go",
+    ),
+    (
+        "a folder where the report goes",
+        lambda h: (h / "out" / "report.html").mkdir(parents=True),
+        "run {h}/scene.toml -o {h}/out --model qkr",
+        r"out/report\.html: is a folder, where a file has to go",
+    ),
     ("no videos", nothing, "simulate -o {t}/out --recordings 0", r"at least one is needed"),
 ]
 
@@ -769,3 +942,37 @@ def test_a_table_of_nothing_has_no_tracks(
     assert (done.status, done.err) == (0, "")
     assert done.out.startswith("0 tracks, 0 points")
     assert json.loads(out.read_text())["features"] == []
+
+
+def test_what_the_system_forbids_is_no_bug(
+    sightline: Command, harbour: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(harbour / "scene.toml"))
+
+    monkeypatch.setattr(Scene, "load", forbidden)
+    done = sightline("fit", harbour / "scene.toml", "-o", tmp_path / "m.safetensors")
+    assert done.status == 2
+    assert re.fullmatch(r"error: \S*scene\.toml: cannot be used: Permission denied\n", done.err)
+
+
+def test_too_little_memory_is_no_bug(
+    sightline: Command, harbour: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 1.46 TiB")
+
+    monkeypatch.setattr(Scene, "load", full)
+    done = sightline("fit", harbour / "scene.toml", "-o", tmp_path / "m.safetensors")
+    assert done.status == 2
+    assert done.err == "error: there is not enough memory for this: Unable to allocate 1.46 TiB\n"
+
+
+@pytest.mark.filterwarnings("error")
+def test_names_in_any_script_are_taken(sightline: Command, harbour: Path, tmp_path: Path) -> None:
+    """The font of the plots has no Chinese letters, which nobody needs to be told."""
+    replace("scene.toml", '"01"', '"Süd 北"')(harbour)
+    done = sightline("run", harbour / "scene.toml", "-o", tmp_path / "out", "--model", "qkr")
+    assert (done.status, done.err) == (0, "")
+    assert (tmp_path / "out" / "map.png").stat().st_size > 0
+    assert len(list((tmp_path / "out" / "tracks").glob("*.geojson"))) == 3

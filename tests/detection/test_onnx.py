@@ -286,6 +286,12 @@ def test_networks_that_take_no_picture(constant_file: MakeFile) -> None:
         OnnxDetector(number)
 
 
+def test_a_network_of_pictures_that_no_memory_holds(constant_file: MakeFile) -> None:
+    huge = constant_file(head(), shape=(1, 3, 100_000, 100_000), name="huge.onnx")
+    with pytest.raises(InputError, match="takes pictures of 100000 x 100000 px; expected 1 to"):
+        OnnxDetector(huge)
+
+
 def test_a_gpu_that_is_not_there(constant_file: MakeFile) -> None:
     file = constant_file(head())
     for provider in ("cuda", "tensorrt"):

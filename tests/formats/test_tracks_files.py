@@ -182,6 +182,14 @@ def test_kml_has_a_time_for_every_place(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(places)[:, 1], track.latitude_deg, rtol=0, atol=6e-10)
 
 
+@pytest.mark.parametrize("suffix", [".gpx", ".kml"])
+def test_a_label_of_any_characters_makes_good_xml(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"tracks{suffix}"
+    write_tracks([make_track(label="<b>&\x01\x0b 北 \ud800")], path)
+    text = "".join(ET.parse(path).getroot().itertext())
+    assert "<b>&\ufffd\ufffd 北 \ufffd 7" in text
+
+
 @pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".kml", ".parquet", ".gpkg"])
 def test_no_tracks_are_a_file_all_the_same(tmp_path: Path, suffix: str) -> None:
     if suffix == ".parquet":

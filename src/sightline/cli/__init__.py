@@ -28,6 +28,7 @@ from sightline.errors import SightlineError
 _CommandError: Any = typer.BadParameter.__mro__[2]
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ELOOP)
 
 app = typer.Typer(
     name="sightline",
@@ -97,9 +98,13 @@ def _run(arguments: list[str] | None) -> int:
         sys.stdout = None
         return 0
     except OSError as error:
-        if error.errno not in _NO_ROOM:
-            raise
-        return _refuse(f"the output cannot be written: {error.strerror}")
+        if error.errno in _NO_ROOM:
+            return _refuse(f"the output cannot be written: {error.strerror}")
+        if error.errno in _NOT_ALLOWED and error.filename is not None:
+            return _refuse(f"{error.filename}: cannot be used: {error.strerror}")
+        raise
+    except MemoryError as error:
+        return _refuse(f"there is not enough memory for this: {error}")
     finally:
         logging.getLogger("sightline").removeHandler(warnings)
     return status if isinstance(status, int) else 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -88,9 +89,9 @@ def keep_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | Non
     Raises:
         InputError: An output is an input.
     """
-    read = {Path(path).resolve() for path in inputs if path is not None}
+    read = {os.path.realpath(path) for path in inputs if path is not None}
     for path in outputs:
-        if path is not None and path.resolve() in read:
+        if path is not None and os.path.realpath(path) in read:
             raise InputError(f"{path}: is read by this command; give the result another name")
 
 

@@ -48,7 +48,7 @@ def demo(
         result = run_scene(Scene.load(made.scene), seed=seed, progress=tell)
         tell("writing the results", float("nan"))
         paths = write_run(result, folder / "results")
-    write_result(json, result_dict(result, paths))
+        write_result(json, result_dict(result, paths))
     say(f"A harbour was simulated in {folder / 'harbour'}.")
     camera = result.model.camera
     truth = made.harbour.camera

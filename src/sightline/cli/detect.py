@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -65,7 +66,7 @@ def detect(
     keep_apart([output, json], [source, model, clock])
     if is_table(source):
         raise InputError(f"{source}: is a table; boxes are found in a video, frames or a stream")
-    if "://" not in source and not Path(source).exists():
+    if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video or folder")
     options = detector_options(decoder, classes, threshold, provider, views)
     fitted = load_model(model) if model is not None else None

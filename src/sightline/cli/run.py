@@ -58,7 +58,7 @@ def run(
         )
         tell("writing the results", float("nan"))
         paths = write_run(result, folder)
-    write_result(json, result_dict(result, paths))
+        write_result(json, result_dict(result, paths))
     tell_result(result, paths)
 
 

@@ -49,7 +49,7 @@ def simulate(
             moving=moving,
             progress=lambda share: tell("rendering", share),
         )
-    write_result(
-        json, {"scene": str(made.scene), "recordings": [one.name for one in made.recordings]}
-    )
+        write_result(
+            json, {"scene": str(made.scene), "recordings": [one.name for one in made.recordings]}
+        )
     say(f"scene: {made.scene}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -86,7 +87,7 @@ def track(
     ahead = [] if forecast_s is None else [_forecast_path(path) for path in output]
     keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon])
     fitted = load_model(model)
-    if "://" not in source and not Path(source).exists():
+    if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video, folder or table")
     settings = TrackSettings(trajectory=trajectory, interval_s=interval_s)
     if forecast_s is not None:

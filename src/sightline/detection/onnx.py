@@ -43,6 +43,7 @@ PROVIDERS = {
 DEFAULT_THRESHOLD = 0.25
 
 _MOST_CANDIDATES = 3000
+_LARGEST_PX = 16384
 _DUMMY_PX = 320
 _SIZES_INPUT = "orig_target_sizes"
 _TYPES = {
@@ -378,6 +379,11 @@ class _Network:
             )
         self.form = form
         self.input_px: tuple[int, int] | None = form.size or self._fixed_px
+        if self.input_px and not 1 <= min(self.input_px) <= max(self.input_px) <= _LARGEST_PX:
+            raise InputError(
+                f"{self._where}: takes pictures of {self.input_px[0]} x {self.input_px[1]} px; "
+                f"expected 1 to {_LARGEST_PX} px a side"
+            )
         side = -(-_DUMMY_PX // form.stride) * form.stride
         self.dummy_px: tuple[int, int] = self.input_px or (side, side)
         self._blob = cv2.dnn.Image2BlobParams()

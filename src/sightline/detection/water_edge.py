@@ -74,7 +74,7 @@ class StillPicture:
         self._passed += 1
         if self.seen_enough or not due:
             return
-        grey = np.asarray(cv2.cvtColor(frame.image_bgr, cv2.COLOR_BGR2GRAY))
+        grey = np.asarray(cv2.cvtColor(frame.image_bgr, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         if not self._grey or grey.shape == self._grey[0].shape:
             self._grey.append(grey)
 

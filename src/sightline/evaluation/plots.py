@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -432,14 +433,21 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
     if suffix not in FIGURE_SUFFIXES:
         raise InputError(f"{path}: a figure ends in {', '.join(FIGURE_SUFFIXES)}")
     with atomic_path(Path(path)) as temporary:
-        figure.savefig(temporary, dpi=dpi, format=suffix[1:])
+        _save(figure, temporary, dpi, suffix[1:])
 
 
 def data_uri(figure: Figure, *, dpi: int = 144) -> str:
     """A figure as a PNG inside a ``data:`` address, for pages that stand alone."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=dpi, format="png")
+    _save(figure, buffer, dpi, "png")
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def _save(figure: Figure, to: Path | io.BytesIO, dpi: int, kind: str) -> None:
+    with warnings.catch_warnings():
+        # A name in a script that the font lacks shows as boxes; the file is good all the same.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(to, dpi=dpi, format=kind)
 
 
 def _figure(width_in: float, height_in: float) -> Figure:

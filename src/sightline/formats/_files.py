@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,10 @@ from sightline.errors import InputError
 from sightline.types import BoolArray, Fixes, FloatArray, from_datetime64
 
 _SNIFFED_BYTES = 65536
+_NO_INT64 = 2.0**63
+# What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
+_FIRST_TIME, _LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
+_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -121,13 +126,13 @@ def _check_columns(
     if missing:
         raise InputError(
             f"{path}: lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; "
-            f"found {', '.join(found)}"
+            f"found {shortened(', '.join(found), 300)}"
         )
     if optional is not None:
         unknown = [name for name in found if name not in (*required, *optional)]
         if unknown:
             raise InputError(
-                f"{path}: unknown column {unknown[0]!r}; known are "
+                f"{path}: unknown column {shortened(unknown[0])!r}; known are "
                 f"{', '.join((*required, *optional))}"
             )
 
@@ -146,7 +151,13 @@ def refuse(
     """
     if bad.any():
         i = int(np.argmax(bad))
-        raise InputError(f"{path}, line {np.asarray(lines)[i]}: {np.asarray(values)[i]!s} {reason}")
+        what = shortened(str(np.asarray(values)[i]))
+        raise InputError(f"{path}, line {np.asarray(lines)[i]}: {what} {reason}")
+
+
+def shortened(text: str, most: int = 80) -> str:
+    """A text that fits into a message."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
@@ -160,6 +171,8 @@ def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np
     """A column as int64; what is not a whole number is refused by its line."""
     values = numbers(path, column)
     refuse(path, column.index, values % 1 != 0, column, f"is no whole number ({column.name})")
+    far = np.abs(values) >= _NO_INT64
+    refuse(path, column.index, far, column, f"is too large a number ({column.name})")
     return values.astype(np.int64)
 
 
@@ -175,11 +188,17 @@ def times(
     """
     empty = column.isna().to_numpy()
     seconds = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    written = ~np.isfinite(seconds) & ~empty
+    written = np.isnan(seconds) & ~empty
     if written.any():
         parsed = pd.to_datetime(column[written], utc=True, format="ISO8601", errors="coerce")
-        seconds[written] = from_datetime64(parsed.dt.tz_localize(None).to_numpy())
-    bad = ~np.isfinite(seconds) & ~(empty & missing_allowed)
+        stamps = parsed.dt.tz_localize(None).to_numpy()
+        stamps = np.where(
+            (stamps > _FIRST_TIME) & (stamps < _LAST_TIME), stamps, np.datetime64("NaT")
+        )
+        seconds[written] = from_datetime64(stamps)
+    first_s, last_s = from_datetime64([_FIRST_TIME, _LAST_TIME])
+    known = (seconds > first_s) & (seconds < last_s)
+    bad = ~known & ~(empty & missing_allowed)
     refuse(
         path,
         column.index,
@@ -233,6 +252,11 @@ def fixes(
             "the times of a log must not decrease"
         )
     return Fixes(when, latitude, longitude, name=name)
+
+
+def xml_text(text: str) -> str:
+    """A text without the control characters that no XML file can hold."""
+    return _NOT_IN_XML.sub("\ufffd", text)
 
 
 def milliseconds(time_utc_s: Any) -> NDArray[np.datetime64]:

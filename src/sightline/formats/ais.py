@@ -177,8 +177,6 @@ def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
                 float(message.lon),
                 _velocity_mps(message.speed, message.course),
             )
-    if spoilt:
-        _logger.warning("%s: %d AIS messages are spoilt and left out", path, spoilt)
     if not usable and untimed:
         raise InputError(
             f"{path}: none of its {untimed} AIS position reports has a time of reception; log it "
@@ -187,6 +185,8 @@ def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
         )
     if not usable:
         raise InputError(f"{path}: holds no usable AIS position report; {spoilt} are spoilt")
+    if spoilt:
+        _logger.warning("%s: %d AIS messages are spoilt and left out", path, spoilt)
 
 
 def _velocity_mps(speed_knots: float, course_deg: float) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,6 +21,9 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Missing parent folders are made. If the block raises, what it wrote and the folders that were
     made for it are removed, and an older file under the final name stays as it was.
 
+    A symbolic link stays, and what it leads to is replaced. A device or a pipe (``/dev/stdout``)
+    cannot be replaced; it is written to when the block ends well.
+
     Args:
         path: Where the file is to be.
 
@@ -29,10 +33,15 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         InputError: The operating system refuses (disk full, no permission, ``path`` is a folder).
     """
-    final = Path(path)
-    if final.is_dir():
-        raise InputError(f"{final}: cannot be written, it is a folder; give the name of a file")
-    new_folders = [folder for folder in final.parents if not folder.exists()]
+    # os.path answers where pathlib raises: for a name that is too long, or a folder that is closed.
+    if os.path.isdir(path):
+        raise InputError(f"{path}: cannot be written, it is a folder; give the name of a file")
+    if os.path.exists(path) and not os.path.isfile(path):
+        with _poured_into(Path(path)) as elsewhere:
+            yield elsewhere
+        return
+    final = Path(os.path.realpath(path))
+    new_folders = [folder for folder in final.parents if not os.path.exists(folder)]
     temporary: Path | None = None
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
@@ -49,7 +58,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     except OSError as error:
         if not _concerns(error, final, temporary):
             raise
-        raise InputError(f"{final}: cannot be written: {error.strerror or error}") from error
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -57,6 +66,20 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
             # Others may have put something there meanwhile.
             with suppress(OSError):
                 folder.rmdir()
+
+
+@contextmanager
+def _poured_into(special: Path) -> Iterator[Path]:
+    """A temporary path whose content a device or a pipe gets when the block ends well."""
+    with tempfile.TemporaryDirectory() as folder:
+        temporary = Path(folder) / f"whole{special.suffix}"
+        temporary.touch()
+        yield temporary
+        try:
+            with temporary.open("rb") as source, special.open("wb") as target:
+                shutil.copyfileobj(source, target)
+        except OSError as error:
+            raise InputError(f"{special}: cannot be written: {error.strerror or error}") from error
 
 
 def _umask() -> int:
@@ -67,7 +90,7 @@ def _umask() -> int:
 
 def _concerns(error: OSError, final: Path, temporary: Path | None) -> bool:
     """Whether a failure is of this file: reading another file in the block may fail as well."""
-    if error.filename is None:
+    if error.filename is None or temporary is None:
         return True
     named = Path(os.fsdecode(error.filename))
     return named in (final, temporary, final.parent) or named in final.parents

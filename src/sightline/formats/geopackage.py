@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -72,8 +73,12 @@ def read_geopackage_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     """
     geopandas = module("geopandas", "geopackage")
     errors = module("pyogrio.errors", "geopackage")
+    file = _files.existing(path)
     try:
-        rows = geopandas.read_file(_files.existing(path), layer=_LAYER, engine="pyogrio")
+        with warnings.catch_warnings():
+            # What GDAL finds odd in a file that it can read is of no use to anybody here.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            rows = geopandas.read_file(file, layer=_LAYER, engine="pyogrio")
     except (errors.DataSourceError, errors.DataLayerError) as error:
         raise InputError(f"{path}: is no GeoPackage with a layer {_LAYER!r} ({error})") from error
     return _track_table.with_posix_times(path, pd.DataFrame(rows.drop(columns="geometry")))

@@ -93,9 +93,9 @@ class GpxTrackWriter:
 
     def add(self, track: Track) -> None:
         """Write one track."""
-        name = f"{track.label or 'track'} {track.track_id}"
-        out = gpxpy.gpx.GPXTrack(name=name, number=track.track_id)
-        out.type = track.label or None  # type: ignore[assignment]
+        label = _files.xml_text(track.label)
+        out = gpxpy.gpx.GPXTrack(name=f"{label or 'track'} {track.track_id}", number=track.track_id)
+        out.type = label or None  # type: ignore[assignment]
         out.segments = [_segment(track.time_utc_s, track.latitude_deg, track.longitude_deg)]
         self._file.write(_xml(out))
 
@@ -106,7 +106,7 @@ def write_gpx(fixes: Fixes, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: The file cannot be written.
     """
-    out = gpxpy.gpx.GPXTrack(name=fixes.name or None)
+    out = gpxpy.gpx.GPXTrack(name=_files.xml_text(fixes.name) or None)
     out.segments = [_segment(fixes.time_utc_s, fixes.latitude_deg, fixes.longitude_deg)]
     with atomic_path(path) as temporary:
         temporary.write_text(_HEADER + _xml(out) + "</gpx>\n", encoding="utf-8")

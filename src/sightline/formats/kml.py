@@ -28,7 +28,9 @@ class KmlTrackWriter:
 
     def add(self, track: Track) -> None:
         """Add one track."""
-        out = self._document.newgxtrack(name=f"{track.label or 'track'} {track.track_id}")
+        out = self._document.newgxtrack(
+            name=f"{_files.xml_text(track.label) or 'track'} {track.track_id}"
+        )
         out.altitudemode = simplekml.AltitudeMode.clamptoground
         out.newwhen(_files.rfc3339(track.time_utc_s).tolist())
         places = zip(track.longitude_deg.tolist(), track.latitude_deg.tolist(), strict=True)

@@ -79,11 +79,11 @@ def read_nmea(path: str | os.PathLike[str]) -> Fixes:
                     rmc.add(line, moment_s, sentence)
             except (pynmea2.ParseError, ValueError, TypeError, AttributeError):
                 spoilt += 1
-    if spoilt:
-        _logger.warning("%s: %d of %d sentences are spoilt and left out", path, spoilt, seen)
     log = gga if len(gga.lines) > len(rmc.lines) else rmc
     if not log.lines:
         raise InputError(f"{path}: {_why_none(seen, spoilt, len(undated))}")
+    if spoilt:
+        _logger.warning("%s: %d of %d sentences are spoilt and left out", path, spoilt, seen)
     return _files.fixes(path, log.lines, log.time_utc_s, log.latitude_deg, log.longitude_deg)
 
 

@@ -47,8 +47,9 @@ def read_parquet_table(path: str | os.PathLike[str]) -> pd.DataFrame:
         InputError: The file is no Parquet, or a column is missing.
     """
     arrow = module("pyarrow", "parquet")
+    file = _files.existing(path)
     try:
-        rows = module("pyarrow.parquet", "parquet").read_table(_files.existing(path)).to_pandas()
-    except arrow.ArrowInvalid as error:
+        rows = module("pyarrow.parquet", "parquet").read_table(file).to_pandas()
+    except (arrow.ArrowInvalid, OSError) as error:
         raise InputError(f"{path}: is no Parquet file, is damaged, or is cut short") from error
     return _track_table.with_posix_times(path, rows)

@@ -39,6 +39,7 @@ DEFAULT_TRAJECTORY = "rts"
 
 _MOST_PARTS = 256
 _LEAST_INTERVAL_S = 0.001
+_MOST_FORECASTS = 100_000
 _LOOKED_AT_BOXES = 1000
 
 
@@ -74,6 +75,12 @@ class TrackSettings:
                 raise InputError(f"{name} must be positive; it is {getattr(self, name):g} s")
         if not self.forecast_s < np.inf:
             raise InputError("forecast_s is infinite; give the seconds to look ahead")
+        if self.forecast_s > _MOST_FORECASTS * self.forecast_interval_s:
+            raise InputError(
+                f"forecast_s is {self.forecast_s:g} s; with a point every "
+                f"{self.forecast_interval_s:g} s it may be "
+                f"{_MOST_FORECASTS * self.forecast_interval_s:g} s at most"
+            )
         if self.interval_s is not None and not _LEAST_INTERVAL_S <= self.interval_s < np.inf:
             raise InputError(
                 f"interval_s is {self.interval_s:g} s; it must be at least {_LEAST_INTERVAL_S:g} "

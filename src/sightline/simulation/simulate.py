@@ -58,6 +58,7 @@ AIS_TRANSPONDER = ReceiverNoise(
 CLOCK_STEP_S = 5.0
 """How often a ``"stepped"`` clock is read."""
 
+_LONGEST_S = 86_400.0
 _FIRST_MMSI = 211_000_001
 _RATE_JITTER = 0.15
 _LOST_FRAMES = 0.004
@@ -232,8 +233,10 @@ def _check(
 ) -> None:
     if recordings < 1:
         raise InputError(f"{recordings} recordings were asked for; at least one is needed")
-    if not 1.0 <= duration_s < np.inf:
-        raise InputError(f"a recording of {duration_s:g} s is not to be had; give 1 s or more")
+    if not 1.0 <= duration_s <= _LONGEST_S:
+        raise InputError(
+            f"a recording of {duration_s:g} s is not to be had; give 1 to {_LONGEST_S:g} s"
+        )
     if not 0.5 <= rate_hz <= 120.0:
         raise InputError(f"{rate_hz:g} frames a second are not between 0.5 and 120")
     if any(side % 2 or not 64 <= side <= 7680 for side in image_size_px):

@@ -20,6 +20,7 @@ from sightline.errors import InputError
 from sightline.types import FloatArray, Frame
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
+_MOST_DIGITS = 18
 _LIVE_SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "rtp", "udp", "srt", "tcp")
 
 
@@ -132,6 +133,8 @@ def _from_folder(folder: Path) -> Iterator[Frame]:
             raise InputError(
                 f"{path}: the name does not end in the number of the frame, as in 000100.jpg"
             )
+        if len(number[1]) > _MOST_DIGITS:
+            raise InputError(f"{path}: its number is too large for that of a frame")
         other = numbered.setdefault(int(number[1]), path)
         if other != path:
             raise InputError(f"{folder}: {other.name} and {path.name} are both frame {number[1]}")
@@ -206,7 +209,8 @@ def _upright(image: np.ndarray, rotation_deg: int) -> np.ndarray:
 def _open(name: str) -> av.container.InputContainer:
     if "://" not in name:
         path = Path(name)
-        if not path.exists():
+        # os.path answers where pathlib raises: for a name that is too long.
+        if not os.path.exists(name):
             raise InputError(f"{name}: there is no such video, folder or stream")
         if path.is_dir():
             raise InputError(f"{name}: is a folder, not a video")

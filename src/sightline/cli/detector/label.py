@@ -69,8 +69,8 @@ def label(
                 write_boxes(proposals.boxes(name), folder / f"{recording.name}.csv")
             pages += contact_sheets(proposals, recording, folder / "sheets")
         _write_frames(made, folder / "frames.csv")
-    results = {one.recording: _summary(one) for one in made}
-    write_json_result(json, {"labels": str(output), "recordings": results})
+        results = {one.recording: _summary(one) for one in made}
+        write_json_result(json, {"labels": str(output), "recordings": results})
     for one in made:
         reasons = ", ".join(f"{n} {why}" for why, n in _reasons(one).items())
         say(
