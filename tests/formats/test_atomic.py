@@ -116,3 +116,20 @@ def test_a_pipe_gets_nothing_of_what_fails(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         write_half_and_raise(pipe, ZeroDivisionError())
     assert pipe.is_fifo()
+
+
+def test_a_folder_that_may_not_be_written_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The system names the temporary file, whose name nobody was told."""
+
+    def refuse(prefix: str, suffix: str, dir: Path) -> None:  # noqa: A002
+        raise PermissionError(errno.EACCES, "Permission denied", f"{dir}/{prefix}x{suffix}")
+
+    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    with (
+        pytest.raises(InputError, match=r"new/a\.csv: cannot be written: Permission denied"),
+        atomic_path(tmp_path / "new" / "a.csv"),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == []

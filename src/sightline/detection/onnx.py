@@ -468,6 +468,8 @@ def _session(where: str, options: DetectorOptions) -> Any:
         # What TensorRT cannot do is done by CUDA, and what that cannot by the CPU.
         order = ("tensorrt", "cuda", "cpu")
         chosen = [name for name in order[order.index(wanted) :] if name in available]
+    # Newer releases report what they run to their maker, unless they are told not to.
+    onnxruntime.disable_telemetry_events()
     settings = onnxruntime.SessionOptions()
     settings.log_severity_level = 4
     if options.threads is not None:
