@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -128,9 +129,9 @@ def _write_into(result: RunResult, folder: Path) -> dict[str, Path]:
         "model": folder / "model.safetensors",
         "tracks": folder / "tracks",
     }
-    for name, tracks in result.tracks.items():
+    for file_name, tracks in zip(_file_names(result.tracks), result.tracks.values(), strict=True):
         for suffix in (".geojson", ".csv", ".gpx", ".kml"):
-            tracks.write(paths["tracks"] / f"{_file_name(name)}{suffix}")
+            tracks.write(paths["tracks"] / f"{file_name}{suffix}")
     result.model.save(paths["model"])
     panels = _panels(result)
     if panels:
@@ -279,5 +280,12 @@ def _listed(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
 
 
-def _file_name(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).lstrip(".") or "recording"
+def _file_names(names: Iterable[str]) -> list[str]:
+    """A name of a file for each recording, each another."""
+    out: list[str] = []
+    for name in names:
+        plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).lstrip(".")
+        plain = plain or "recording"
+        same = (f"{plain}-{i}" for i in itertools.count(2))
+        out.append(next(one for one in itertools.chain([plain], same) if one not in out))
+    return out

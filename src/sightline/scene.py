@@ -60,6 +60,15 @@ class _RecordingTable(_Table):
     platform: str | None = None
     horizon: str | None = None
 
+    @field_validator("name")
+    @classmethod
+    def _of_a_file(cls, value: str) -> str:
+        if any(letter in "/\\" or not letter.isprintable() for letter in value):
+            raise ValueError(
+                f"{value!r} holds / or \\ or what cannot be printed, and files are named after it"
+            )
+        return value
+
     @field_validator("start_utc", mode="before")
     @classmethod
     def _moment(cls, value: Any) -> Any:

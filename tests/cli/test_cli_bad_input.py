@@ -200,6 +200,12 @@ SCENES = [
         RUN,
         r"recordings\[2\]\.boxes names .*02\.csv, which does not exist",
     ),
+    (
+        "a name that leads elsewhere",
+        replace("scene.toml", '"01"', '"../../elsewhere"'),
+        FIT,
+        r"recordings\[1\]\.name: '\.\./\.\./elsewhere' holds / or \\ or what cannot be printed",
+    ),
     ("nested too deep", write("scene.toml", "a = " + 5000 * "["), FIT, r"scene\.toml: is no TOML"),
     (
         "a number without end",
@@ -972,6 +978,7 @@ def test_too_little_memory_is_no_bug(
 def test_names_in_any_script_are_taken(sightline: Command, harbour: Path, tmp_path: Path) -> None:
     """The font of the plots has no Chinese letters, which nobody needs to be told."""
     replace("scene.toml", '"01"', '"Süd 北"')(harbour)
+    replace("scene.toml", '"02"', '"Süd_北"')(harbour)
     done = sightline("run", harbour / "scene.toml", "-o", tmp_path / "out", "--model", "qkr")
     assert (done.status, done.err) == (0, "")
     assert (tmp_path / "out" / "map.png").stat().st_size > 0

@@ -8,6 +8,7 @@ import pytest
 
 from sightline.cli.parsing import (
     parse_architecture_options,
+    parse_distinct_names,
     parse_known_names,
     parse_names,
     parse_options_by_architecture,
@@ -16,6 +17,7 @@ from sightline.cli.parsing import (
     parse_time,
 )
 from sightline.errors import InputError
+from sightline.formats.labels import parse_margins
 
 ARCHITECTURES = ("harbour", "faster-rcnn")
 
@@ -55,6 +57,17 @@ def test_a_text_means(parse: Callable[[Any], Any], text: Any, value: Any) -> Non
             "unknown class 'bat'; known are boat, buoy",
         ),
         (
+            lambda text: parse_distinct_names("--classes", text),
+            " ,",
+            "--classes ' ,': names nothing; give one name or more",
+        ),
+        (
+            lambda text: parse_distinct_names("--classes", text),
+            "boat,buoy,boat",
+            "names boat twice",
+        ),
+        (parse_margins, ["voc=nan"], "--margin 'voc=nan': expected SOURCE=PX"),
+        (
             lambda text: parse_pair("--scales", text, "-"),
             "0.5",
             "--scales '0.5': expected two numbers with '-' between them",
@@ -71,6 +84,6 @@ def test_a_text_means(parse: Callable[[Any], Any], text: Any, value: Any) -> Non
         ),
     ],
 )
-def test_another_text_is_refused(parse: Callable[[Any], Any], text: str, message: str) -> None:
+def test_another_text_is_refused(parse: Callable[[Any], Any], text: Any, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         parse(text)

@@ -202,7 +202,7 @@ def test_tracks_of_several_recordings_are_chosen_in_each() -> None:
         ),
         (
             lambda: evaluate_tracks([track_off(4, 1.0), track_off(4, 2.0)], log_between(0, 60)),
-            "two tracks have the same id",
+            "two tracks have the id 4; give each one of its own",
         ),
         (
             lambda: evaluate_tracks([track_off(4, 1.0)], log_between(500, 600)),

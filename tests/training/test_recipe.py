@@ -89,7 +89,7 @@ def test_a_finished_run_is_not_done_again(scene: Scene, tmp_path: Path) -> None:
         ({"validation": "c"}, r"for validation \(c\) have no boxes"),
         ({"train": "a,b", "validation": "b"}, "both for training and for validation"),
         ({"train": "z"}, "unknown recording 'z'"),
-        ({"size": "96"}, "--size '96': expected two numbers"),
+        ({"size": "96"}, "--size '96': expected width and height"),
         ({"scales": "a-b"}, "--scales 'a-b': expected two numbers"),
         ({"option": ["width"]}, "expected NAME=VALUE"),
         ({"option": ["depth=2"]}, "unknown option of harbour 'depth'"),

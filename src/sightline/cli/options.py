@@ -107,10 +107,10 @@ CropSizeOption = Annotated[str, typer.Option("--size", metavar="WxH", help="Of a
 ScalesOption = Annotated[
     str, typer.Option(metavar="LOW-HIGH", help="Of the crops; 1 is the picture's own.")
 ]
-RateOption = Annotated[float, typer.Option(help="The highest learning rate.")]
+RateOption = Annotated[float, typer.Option(max=10.0, help="The highest learning rate.")]
 ValidateEveryOption = Annotated[int, typer.Option(help="Steps between two validations.")]
 DeviceOption = Annotated[str, typer.Option(help="auto, cpu, cuda, ...")]
-ThreadsOption = Annotated[int, typer.Option(help="Of the CPU; 0: as many as there are.")]
+ThreadsOption = Annotated[int, typer.Option(min=0, help="Of the CPU; 0: as many as there are.")]
 
 
 def detector_options(

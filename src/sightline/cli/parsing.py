@@ -35,6 +35,25 @@ def parse_known_names(text: str, kind: str, known: Iterable[str]) -> tuple[str, 
     return names
 
 
+def parse_distinct_names(option: str, text: str) -> tuple[str, ...]:
+    """One name or more with commas between them, none of them twice.
+
+    Args:
+        option: Its name, for the message.
+        text: What was given.
+
+    Raises:
+        InputError: There is none, or one comes twice.
+    """
+    names = parse_names(text)
+    if not names:
+        raise InputError(f"{option} {text!r}: names nothing; give one name or more")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{option} {text!r}: names {name} twice")
+    return names
+
+
 def parse_pair(option: str, text: str, between: str) -> tuple[float, float]:
     """Two numbers with something between them.
 

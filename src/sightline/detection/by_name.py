@@ -48,7 +48,8 @@ def detector_by_name(
         if options is not None and options != DetectorOptions():
             raise InputError(
                 "the detector 'motion' finds what moves and runs no network, so it has no "
-                "decoder, classes, threshold or provider; leave them out, or give an ONNX file"
+                "decoder, classes, threshold, provider or views; leave them out, or give an ONNX "
+                "file"
             )
         return MotionDetector(horizon_px=horizon_px)
     check_detector_name(name)

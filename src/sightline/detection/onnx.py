@@ -468,7 +468,7 @@ def _session(where: str, options: DetectorOptions) -> Any:
         # What TensorRT cannot do is done by CUDA, and what that cannot by the CPU.
         order = ("tensorrt", "cuda", "cpu")
         chosen = [name for name in order[order.index(wanted) :] if name in available]
-    # Newer releases report what they run to their maker, unless they are told not to.
+    # Newer releases have telemetry; what somebody films is nobody else's business.
     onnxruntime.disable_telemetry_events()
     settings = onnxruntime.SessionOptions()
     settings.log_severity_level = 4

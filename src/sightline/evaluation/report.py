@@ -362,7 +362,9 @@ def pair_target(
     paired: dict[int, Pairs] = {}
     for track in tracks:
         if track.track_id in paired:
-            raise InputError(f"{where}two tracks have the same id")
+            raise InputError(
+                f"{where}two tracks have the id {track.track_id}; give each one of its own"
+            )
         paired[track.track_id] = pair_track(
             track,
             fixes,

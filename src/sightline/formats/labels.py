@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -158,7 +159,10 @@ def parse_margins(texts: Sequence[str]) -> dict[str, Margin]:
         pixels, plus, share = value.partition("+")
         try:
             percent = float(share.removesuffix("%")) if plus else 0.0
-            margins[name] = Margin(float(pixels), percent / 100.0)
+            margin = Margin(float(pixels), percent / 100.0)
+            if not (math.isfinite(margin.px) and math.isfinite(margin.share)):
+                raise ValueError("no finite number")
+            margins[name] = margin
         except ValueError as error:
             raise InputError(
                 f"--margin {text!r}: expected SOURCE=PX or SOURCE=PX+PERCENT%, for example voc=-3 "

@@ -102,7 +102,7 @@ def scene_pairs(
         levelled: From a recording's name and boxes to the boxes of a camera that did not roll.
 
     Raises:
-        FitError: A recording has boxes but no recording has a log.
+        FitError: No box has fixes near enough on both sides, though logs overlap recordings.
         InputError: No recording's log overlaps it, or a file cannot be used.
     """
     parts: list[Pairs] = []

@@ -162,7 +162,7 @@ _EMPTY = {
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What is kept of a frame, so that a video is read once: where to look, and what is there."""
+    """What is kept of a frame, so that it need not be read for each round of `_choose`."""
 
     frame: int
     time_utc_s: float

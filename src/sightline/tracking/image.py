@@ -67,8 +67,8 @@ class ImagePlane:
     """The image as a measurement model; see `Plane`.
 
     A state has the columns ``centre`` (N, 2) px, ``velocity`` (N, 2) px/s, ``motion`` (N, 2, 2)
-    the covariance of position and velocity along one axis (east and west are alike: one serves
-    both), ``log_size`` (N, 2) logarithms of width and height, and ``shape_variance`` (N,).
+    the covariance of position and velocity along one axis (across and down are alike: one
+    serves both), ``log_size`` (N, 2) logarithms of width and height, and ``shape_variance`` (N,).
     """
 
     def __init__(self, settings: ImageTrackerSettings) -> None:

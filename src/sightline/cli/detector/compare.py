@@ -31,6 +31,7 @@ from sightline.cli.options import (
     ValidationRecordingsOption,
 )
 from sightline.cli.parsing import (
+    parse_distinct_names,
     parse_names,
     parse_options_by_architecture,
     parse_pair,
@@ -111,7 +112,8 @@ def compare(
         train=for_training,
         validation=for_validation,
         labels=Labels(
-            class_names=parse_names(classes), folders=(labels,) if labels is not None else ()
+            class_names=parse_distinct_names("--classes", classes),
+            folders=(labels,) if labels is not None else (),
         ),
         size_px=parse_size_px("--size", size),
         batch=batch,
@@ -132,7 +134,7 @@ def compare(
             recipe,
             for_test,
             output,
-            architectures=parse_names(arch),
+            architectures=parse_distinct_names("--arch", arch),
             options=parse_options_by_architecture(option or [], ARCHITECTURES),
             labels=labels,
             augmentations=augmentations,

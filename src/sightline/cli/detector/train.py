@@ -28,7 +28,13 @@ from sightline.cli.options import (
     ValidateEveryOption,
     ValidationRecordingsOption,
 )
-from sightline.cli.parsing import parse_architecture_options, parse_names, parse_pair, parse_size_px
+from sightline.cli.parsing import (
+    parse_architecture_options,
+    parse_distinct_names,
+    parse_names,
+    parse_pair,
+    parse_size_px,
+)
 from sightline.errors import unknown_name
 from sightline.formats import _extras
 from sightline.scene import Scene
@@ -107,7 +113,8 @@ def train(
     ] = None,
     validate_every: ValidateEveryOption = 500,
     patience: Annotated[
-        int, typer.Option(help="Stop after as many validations without a better one; 0: never.")
+        int,
+        typer.Option(min=0, help="Stop after as many validations without a better one; 0: never."),
     ] = 0,
     device: DeviceOption = "auto",
     precision: Annotated[str, typer.Option(help="auto, float32 or bfloat16.")] = "auto",
@@ -136,7 +143,7 @@ def train(
         train=for_training,
         validation=for_validation,
         labels=Labels(
-            class_names=parse_names(classes),
+            class_names=parse_distinct_names("--classes", classes),
             folders=tuple(labels or []),
             others=others,
             margins=parse_margins(margin or []),
