@@ -135,8 +135,8 @@ def test_unlabelled_recordings_have_a_video_and_a_log_alone(tmp_path: Path) -> N
     [
         ({"clock": "atomic"}, "known are start, exact, stepped"),
         ({"recordings": 0}, "at least one"),
-        ({"duration_s": 0.2}, "1 s or more"),
-        ({"duration_s": float("inf")}, "1 s or more"),
+        ({"duration_s": 0.2}, "give 1 to 86400 s"),
+        ({"duration_s": float("inf")}, "give 1 to 86400 s"),
         ({"rate_hz": 0.0}, "not between"),
         ({"image_size_px": (641, 360)}, "must be even"),
         ({"clock": "stepped", "duration_s": 10.0}, "or longer"),
