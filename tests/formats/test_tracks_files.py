@@ -269,6 +269,32 @@ def test_refused_tracks(tmp_path: Path, name: str, content: str, message: str) -
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("time_utc", "noon", r"row \d: noon is no time \(time_utc\)"),
+        ("track_id", "x", r"x is no number \(track_id\)"),
+        ("latitude_deg", "north", r"row \d: north is no number \(latitude_deg\)"),
+        ("speed_mps", "fast", r"row \d: fast is no number \(speed_mps\)"),
+        ("var_east_m2", "much", r"row \d: much is no number \(var_east_m2\)"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_text_where_a_number_belongs(
+    tmp_path: Path, column: str, value: str, message: str, suffix: str
+) -> None:
+    path = tmp_path / f"tracks{suffix}"
+    rows = Tracks((make_track(),)).to_dataframe().astype({column: str})
+    rows.loc[1, column] = value
+    if suffix == ".csv":
+        rows.to_csv(path, index=False)
+        message = message.replace("row", "(row|line)")
+    else:
+        rows.to_parquet(path, index=False)
+    with pytest.raises(InputError, match=message):
+        read_tracks(path)
+
+
 def test_an_unknown_ending_lists_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"known are \.geojson, \.gpx, \.kml, \.csv, \.parquet"):
         write_tracks([], tmp_path / "tracks.shp")

@@ -138,7 +138,13 @@ def _check_columns(
 
 
 def refuse(
-    path: str | os.PathLike[str], lines: Any, bad: BoolArray, values: Any, reason: str
+    path: str | os.PathLike[str],
+    lines: Any,
+    bad: BoolArray,
+    values: Any,
+    reason: str,
+    *,
+    row: str = "line",
 ) -> None:
     """Raise an error that names the first line at fault, if there is one.
 
@@ -148,11 +154,12 @@ def refuse(
         bad: (N,) whether a line is at fault.
         values: (N,) what stands there, for the message.
         reason: What is wrong with it.
+        row: What ``lines`` counts.
     """
     if bad.any():
         i = int(np.argmax(bad))
         what = shortened(str(np.asarray(values)[i]))
-        raise InputError(f"{path}, line {np.asarray(lines)[i]}: {what} {reason}")
+        raise InputError(f"{path}, {row} {np.asarray(lines)[i]}: {what} {reason}")
 
 
 def shortened(text: str, most: int = 80) -> str:

@@ -24,6 +24,7 @@ KINDS = tuple(kind.name.lower() for kind in PointKind)
 REQUIRED = ("track_id", "time_utc", "latitude_deg", "longitude_deg")
 """Columns without which a table holds no tracks."""
 
+_MEASURES = ("latitude_deg", "longitude_deg", "speed_mps", "course_deg")
 _COVARIANCE = ("var_east_m2", "cov_east_north_m2", "var_north_m2")
 _VELOCITY_COVARIANCE = (
     "var_velocity_east_m2ps2",
@@ -74,15 +75,32 @@ def with_posix_times(path: str | os.PathLike[str], rows: pd.DataFrame) -> pd.Dat
     """A table that has ``time_utc`` as time stamps, with ``time_utc_s``.
 
     Raises:
-        InputError: A column is missing.
+        InputError: A column is missing, or a time or a track's number is none.
     """
     missing = [name for name in REQUIRED if name not in rows]
     if missing:
         raise InputError(
             f"{path}: lacks {', '.join(missing)}; found {', '.join(map(str, rows.columns))}"
         )
-    stamps = pd.to_datetime(rows["time_utc"], utc=True).dt.tz_localize(None)
-    return rows.assign(time_utc_s=from_datetime64(stamps.to_numpy()))
+    stamps = pd.to_datetime(rows["time_utc"], utc=True, errors="coerce").dt.tz_localize(None)
+    unknown = stamps.isna().to_numpy()
+    _files.refuse(path, rows.index, unknown, rows["time_utc"], "is no time (time_utc)", row="row")
+    return rows.assign(
+        time_utc_s=from_datetime64(stamps.to_numpy()),
+        track_id=_files.whole_numbers(path, rows["track_id"]),
+    )
+
+
+def _with_numbers(path: str | os.PathLike[str], rows: pd.DataFrame) -> pd.DataFrame:
+    """The table with numbers wherever numbers are meant; NaN where a cell is empty."""
+    for name in (*_MEASURES, *_COVARIANCE, *_VELOCITY_COVARIANCE, *_ELLIPSE):
+        if name in rows:
+            column = pd.to_numeric(rows[name], errors="coerce")
+            bad = (column.isna() & rows[name].notna()).to_numpy()
+            what = f"is no number ({name})"
+            _files.refuse(path, rows.index, bad, rows[name], what, row="row")
+            rows = rows.assign(**{name: column})
+    return rows
 
 
 def _triangle(covariance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -103,10 +121,11 @@ def tracks(
 
     Raises:
         InputError: There is no row, a place is not on the earth, the times of a track do not
-            increase, or a kind is unknown.
+            increase, a kind is unknown, or there is something else where a number belongs.
     """
     if rows.empty:
         raise InputError(f"{path}: holds no point of a track")
+    rows = _with_numbers(path, rows)
     latitude = rows["latitude_deg"].to_numpy(dtype=float)
     longitude = rows["longitude_deg"].to_numpy(dtype=float)
     # Fixes says which row lies off the earth; times are looked at track by track.
