@@ -111,3 +111,29 @@ def test_ellipses_hold_the_true_places_of_an_unseen_recording(learned: list[Lear
     assert squared.size > 250
     assert 0.90 <= np.mean(squared < chi2.ppf(0.95, 2)) <= 0.98
     assert 0.5 < np.median(squared) / chi2.median(2) < 1.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_sources_of_one_moment_do_not_make_the_log_absurd(seed: int) -> None:
+    """A detector looks where somebody drew: how their boxes differ is no error of the log."""
+    harbour = draw_harbour(seed)
+    times = harbour.start_utc_s + np.arange(0.5, WINDOW_S, 0.5)
+    drawn = harbour.boxes(times, noise=BoxNoise(std_px=1.0, source="annotator"))
+    lasting = BoxNoise(std_px=4.0, correlation_time_s=1.0, source="detector")
+    found = harbour.boxes(drawn.time_utc_s, noise=lasting, seed=1)
+    margin = 2.0 + 0.15 * (found.xyxy_px[:, 3] - found.xyxy_px[:, 1])[:, None]
+    boxes = np.concatenate([drawn.xyxy_px, found.xyxy_px + margin * [-1.0, -1.0, 1.0, 1.0]])
+    when = np.concatenate([drawn.time_utc_s, found.time_utc_s])
+    place = synchronise(harbour.fixes(ReceiverNoise()), when, harbour.plane)
+    rows = place.matched
+    model = CameraRegressor(harbour.camera.image_size_px, residual=False).fit(
+        boxes[rows],
+        np.stack([place.east_m, place.north_m], axis=1)[rows],
+        source=np.concatenate([drawn.source, found.source])[rows],
+        velocity_mps=np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)[rows],
+        time_s=when[rows],
+    )
+    camera, true = model.camera_, harbour.camera
+    assert abs(camera.height_m / true.height_m - 1.0) < 0.25
+    assert abs(camera.focal_px / true.focal_length_px - 1.0) < 0.15
+    assert model.fit_.noise.drift_m < 4.0

@@ -454,13 +454,13 @@ class _Refined:
 
     Attributes:
         vector: Parameters, with how far the middle of a box lies ahead of the receiver.
-        shift_m: (N, 2) by how much the likeliest places are off those of the log.
+        drift_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
         weight: (N, 2) how much each column and row counts, 0 to 1.
         standard: (N, 2) residuals without what lasts, over their standard deviations.
     """
 
     vector: FloatArray
-    shift_m: FloatArray
+    drift_m: FloatArray
     weight: FloatArray
     standard: FloatArray
 
@@ -701,8 +701,8 @@ class _Problem:
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
             left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
             pull = whitening.backward(left)[:, :, 0]
-            shift = whitening.drift(pull)
-            shift += latent * np.einsum("nij,ni->nj", by_place, pull)
+            drift = whitening.drift(pull)
+            shift = drift + latent * np.einsum("nij,ni->nj", by_place, pull)
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
             vector = vector + step
@@ -710,7 +710,7 @@ class _Problem:
                 break
         if not self._ahead(vector):
             return None
-        return _Refined(vector, shift, weight, standard)
+        return _Refined(vector, drift, weight, standard)
 
     def reach(self, size: int) -> FloatArray:
         """(size,) the longest step in each parameter."""
@@ -775,13 +775,15 @@ class _Problem:
         return bool(np.mean(forward > 0.0) > 0.5)
 
     def linearise(self, found: _Refined) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (N, 2), and derivatives by parameters and by places, at the likeliest places.
+        """Residuals (N, 2), derivatives by parameters and by places, where the log is put right.
 
-        What the shift of the places took from the residuals is put back to first order.
+        What that took from the residuals is put back to first order. Only what lasts is put right:
+        boxes that two people drew at one moment show one place. With derivatives at two places, a
+        log that is off by very much would seem to explain how the boxes differ.
         """
         aspect = self.aspect(found.vector)
-        pixel, jacobian, by_point = self.project(found.vector, aspect, found.shift_m)
-        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.shift_m)
+        pixel, jacobian, by_point = self.project(found.vector, aspect, found.drift_m)
+        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.drift_m)
         return self.sightings.pixel_px - pixel + put_back, jacobian, by_point[:, :, :2]
 
     def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
