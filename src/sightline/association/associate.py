@@ -131,9 +131,12 @@ def associate(
     judged.sort(key=lambda one: -one.evidence)
     best = judged[0]
     if not best.matches or best.evidence < LEAST_EVIDENCE:
+        how = "nothing that is seen moves as a log says"
+        if best.matches:
+            more = "likelier" if best.evidence > 0.0 else "less likely"
+            how = f"the best explanation is {abs(best.evidence):.0f} nats {more} than none"
         raise FitError(
-            "no logged vessel can be told from what else is seen: the best explanation is "
-            f"{max(-best.evidence, 0.0):.0f} nats less likely than none; check the clock and that "
+            f"no logged vessel can be told from what else is seen: {how}; check the clock and that "
             "the log is of something in view, give more recordings, or draw boxes"
         )
     other = next((one for one in judged[1:] if _differ(best, one)), None)
