@@ -23,10 +23,11 @@ from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.detection.views import ViewSettings
 from sightline.errors import InputError
 from sightline.training import Trainable, build
+from sightline.training.architecture import InputFormat
 from sightline.training.darknet.cfg import published
 from sightline.training.darknet.module import DarknetModule
 from sightline.training.darknet.weights import write_weights
-from sightline.training.export import ExportError, _paired, export_onnx
+from sightline.training.export import ExportError, _paired, _photograph, export_onnx
 from sightline.training.loop import CONFIGURATION, WEIGHTS, save_weights
 from sightline.training.trained import load_darknet, load_trained, read_names
 from sightline.types import Frame
@@ -40,10 +41,10 @@ SMALL = {
 CLASSES = ("boat", "buoy")
 
 
-def _excited(name: str) -> Trainable:
+def _excited(name: str, **options: Any) -> Trainable:
     """A network with random weights that takes many things for boats."""
     torch.manual_seed(3)
-    trainable = build(name, CLASSES, **SMALL[name])
+    trainable = build(name, CLASSES, **SMALL[name], **options)
     if name == "faster-rcnn":
         nn.init.normal_(trainable.module.roi_heads.box_predictor.cls_score.weight, std=0.1)
         # Enough to compare.
@@ -59,7 +60,7 @@ def _excited(name: str) -> Trainable:
     if name == "efficientdet-d0":
         head = trainable.module.network.class_net.predict
         nn.init.zeros_(head.conv_pw.bias)
-        nn.init.normal_(head.conv_pw.weight, std=0.5)
+        nn.init.normal_(head.conv_pw.weight, std=0.3)
     trainable.module.eval()
     return trainable
 
@@ -71,9 +72,19 @@ def _picture(width: int, height: int) -> np.ndarray[Any, Any]:
     return picture.astype(np.uint8)
 
 
-@pytest.mark.parametrize("name", SMALL)
-def test_a_file_finds_what_the_network_finds(name: str, tmp_path: Path) -> None:
-    trainable = _excited(name)
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        *((name, {}) for name in SMALL),
+        ("efficientdet-d0", {"norm": "batch"}),
+        # The file speaks of the published anchors all the same.
+        ("efficientdet-d0", {"anchor_scale": 1.5}),
+    ],
+)
+def test_a_file_finds_what_the_network_finds(
+    name: str, options: dict[str, Any], tmp_path: Path
+) -> None:
+    trainable = _excited(name, **options)
     path = tmp_path / f"{name}.onnx"
     export_onnx(trainable, path, size_px=(256, 128), default_classes=CLASSES)
     picture = _picture(256, 128)
@@ -167,6 +178,63 @@ def test_a_file_that_disagrees_is_not_left_behind(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="differs by"):
         export_onnx(trainable, tmp_path / "a.onnx")
     assert not list(tmp_path.iterdir())
+
+
+class _Seeing(nn.Module):  # type: ignore[misc]
+    """Notes what it is given; a picture without any red is nothing to it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[torch.Tensor] = []
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        self.seen.append(images)
+        return images[:, :1].log()
+
+
+def _seeing(color: str = "rgb") -> tuple[Trainable, _Seeing]:
+    trainable = build("yolov3", CLASSES, cfg="yolov3-tiny")
+    _, info = trainable.export_module()
+    module = _Seeing()
+    given = type(info)("yolov5", input_format=InputFormat(color=color))
+    trainable.export_module = lambda: (module, given)  # type: ignore[method-assign]
+    return trainable, module
+
+
+@pytest.mark.parametrize("color", ["rgb", "bgr"])
+def test_a_file_is_checked_with_the_pictures_that_are_given(color: str, tmp_path: Path) -> None:
+    trainable, module = _seeing(color)
+    pictures = [np.full((200, 300, 3), (value, 20, 30), np.uint8) for value in (50, 60, 70)]
+    export_onnx(trainable, tmp_path / "a.onnx", size_px=(256, 128), pictures=pictures)
+    red, blue = (0, 2) if color == "rgb" else (2, 0)
+    seen = torch.cat([one[:, red, 5, 5] for one in module.seen])
+    assert set((seen * 255.0).round().int().tolist()) == {50, 60, 70}
+    last = module.seen[-1]
+    assert last.shape == (2, 3, 160, 320)
+    assert float(last[0, blue, 5, 5]) == pytest.approx(30 / 255)
+    # Beyond the picture there is what frames are filled up with.
+    assert float(last[0, red, 5, 310]) == pytest.approx(114 / 255)
+
+
+def test_what_is_not_a_number_is_a_difference(tmp_path: Path) -> None:
+    trainable, _ = _seeing()
+    black = [np.zeros((200, 300, 3), np.uint8)]
+    trainable.export_module()[0].register_forward_hook(lambda *given: given[2] * 0.0)
+    with pytest.raises(ExportError, match="differs by nan"):
+        export_onnx(trainable, tmp_path / "a.onnx", pictures=black)
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_pictures_the_check_has_as_much_of_each_frequency_as_a_photograph() -> None:
+    pixels = _photograph((2, 3, 256, 256), 1).numpy()
+    assert pixels.min() >= 0.0
+    assert pixels.max() <= 1.0
+    assert pixels.std() == pytest.approx(0.2, abs=0.03)
+    power = np.abs(np.fft.rfft(pixels - pixels.mean(), axis=3)).mean(axis=(0, 1, 2))
+    # Along a line of a picture of which the amplitude falls as 1/f, it falls as its square root.
+    slope = np.polyfit(np.log(np.arange(4, 64)), np.log(power[4:64]), 1)[0]
+    assert slope == pytest.approx(-0.5, abs=0.2)
+    assert not np.array_equal(pixels, _photograph((2, 3, 256, 256), 2).numpy())
 
 
 def _trained(folder: Path, **options: object) -> Trainable:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 from torch import Tensor, nn
 from torchvision.models.detection import FasterRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.models.detection.roi_heads import RoIHeads
 from torchvision.models.detection.rpn import RegionProposalNetwork
@@ -24,6 +26,9 @@ _STRIDE = 32
 _INSIDE_IGNORED = 0.5
 _LEAST_SCORE = 0.05
 _SAMPLES = 512
+_SMALLEST_PX = 32.0
+_LEVELS = 5
+_ASPECTS = (0.5, 1.0, 2.0)
 _NOTHING_SAID = -1
 """torchvision's label of an anchor or a proposal that is neither right nor wrong."""
 
@@ -39,6 +44,7 @@ class FasterRcnnDetector:
         class_names: Sequence[str],
         backbone: str = "resnet18",
         samples: int = _SAMPLES,
+        smallest_anchor_px: float = _SMALLEST_PX,
     ) -> None:
         """Begin with random weights.
 
@@ -47,9 +53,15 @@ class FasterRcnnDetector:
             class_names: What it is to tell apart.
             backbone: One of `BACKBONES`.
             samples: Proposals of a picture that the second stage learns from.
+            smallest_anchor_px: Side of the anchors of the finest level.
         """
         if samples < 1:
             raise InputError(f"{name}: cannot learn from {samples} proposals; give 1 or more")
+        if not (math.isfinite(smallest_anchor_px) and smallest_anchor_px > 0.0):
+            raise InputError(
+                f"{name}: anchors of {smallest_anchor_px:g} px cannot be; published are "
+                f"{_SMALLEST_PX:g}"
+            )
         if backbone not in BACKBONES:
             raise unknown_name("backbone", backbone, BACKBONES)
         self.name = name
@@ -66,6 +78,10 @@ class FasterRcnnDetector:
             body,
             num_classes=1 + len(class_names),
             box_batch_size_per_image=samples,
+            rpn_anchor_generator=AnchorGenerator(
+                tuple((float(smallest_anchor_px) * 2.0**level,) for level in range(_LEVELS)),
+                (_ASPECTS,) * _LEVELS,
+            ),
             _skip_resize=True,
         )
         self._rcnn.rpn.__class__ = _Proposals
@@ -178,6 +194,7 @@ def build(
     weights: str = "",
     backbone: str = "resnet18",
     samples: int = _SAMPLES,
+    smallest_anchor_px: float = _SMALLEST_PX,
 ) -> FasterRcnnDetector:
     """A Faster R-CNN.
 
@@ -190,13 +207,15 @@ def build(
             of.
         samples: Proposals of a picture that the second stage learns from, as published 512. On a
             CPU most of a step's time goes there.
+        smallest_anchor_px: Side of the anchors of the finest level, each next one twice as large:
+            32 as published; boats of 12 px want 8.
 
     Raises:
         InputError: A file or an option cannot be used.
     """
     if not class_names:
         raise InputError(f"{name}: needs the name of a class at least")
-    detector = FasterRcnnDetector(name, class_names, backbone, samples)
+    detector = FasterRcnnDetector(name, class_names, backbone, samples, smallest_anchor_px)
     if weights:
         load_matching(detector.module, weights)
     return detector

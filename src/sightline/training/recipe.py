@@ -185,6 +185,7 @@ def train_detector(
             "trained_on": _listed(recipe.train, scene, recipe.synthetic),
             "steps": result.best_step,
         },
+        pictures=[picture.image for picture in train_pictures[:: -(-len(train_pictures) // 4)]],
     )
     return TrainedDetector(
         path=path,
