@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,16 +15,25 @@ pytest.importorskip("torch")
 
 from sightline.cli import main
 from sightline.errors import InputError
+from sightline.evaluation.detection import DetectionReport
+from sightline.evaluation.report import write_json
 from sightline.scene import Scene
-from sightline.training import loop
+from sightline.training import comparison, loop
 from sightline.training.comparison import (
+    COMPARISON,
+    FIGURE,
+    MEASURED,
+    TABLE,
     VARIANTS,
+    ComparedDetector,
     DetectorComparison,
     augmentation_figure,
     compare_detectors,
     hardware,
+    write_comparison,
 )
 from sightline.training.data import Labels
+from sightline.training.export import ExportError
 from sightline.training.loop import TrainingSettings
 from sightline.training.recipe import Recipe
 
@@ -193,4 +205,173 @@ def test_cuda_where_there_is_none_is_said_in_a_line(
         assert stopped.value.code == 2
         (line,) = capfd.readouterr().err.strip().splitlines()
         assert "the device 'cuda' is not to be had here; use cpu, or auto" in line
+    assert not (tmp_path / "out").exists()
+
+
+def _fails(name: str, monkeypatch: pytest.MonkeyPatch, error: Exception | None) -> list[str]:
+    """Has one architecture fail when it is exported; notes which were trained."""
+    trained: list[str] = []
+    real = comparison.train_detector
+
+    def train(scene: Scene, recipe: Recipe, folder: Path, **more: object) -> object:
+        trained.append(folder.name)
+        made = real(scene, recipe, folder, **more)
+        if recipe.architecture == name and error is not None:
+            raise error
+        return made
+
+    monkeypatch.setattr(comparison, "train_detector", train)
+    return trained
+
+
+def _written(folder: Path) -> dict[str, object]:
+    content = json.loads((folder / COMPARISON).read_text())
+    assert isinstance(content, dict)
+    return content
+
+
+BOTH = {
+    "architectures": ("yolov3", "yolov4"),
+    "options": SMALL,
+    "augmentations": False,
+}
+
+
+def test_one_that_fails_does_not_cost_the_others_their_rows(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    _fails("yolov3", monkeypatch, ExportError("yolov3.onnx: differs\nby 1.1"))
+    made = compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    assert [row.name for row in made.rows] == ["yolov4"]
+    assert made.failed == {"yolov3": "yolov3.onnx: differs by 1.1"}
+    assert _written(out)["failed"] == made.failed
+    table = (out / TABLE).read_text()
+    assert "| yolov4 | " in table
+    assert table.splitlines()[-1] == "yolov3 could not be compared: yolov3.onnx: differs by 1.1"
+
+
+def test_when_all_fail_the_first_reason_is_raised(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _fails("yolov3", monkeypatch, ExportError("differs"))
+    with pytest.raises(ExportError, match="differs"):
+        compare_detectors(
+            scene, _recipe(), ("b",), tmp_path / "out", **BOTH | {"architectures": ("yolov3",)}
+        )
+
+
+def test_a_failure_is_a_line_and_a_status_when_the_rest_is_done(
+    scene: Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    _fails("yolov4", monkeypatch, RuntimeError("no memory"))
+    words = ["--arch", "yolov4,yolov3", "--size", "64x64", "--batch", "2", "--steps", "1"]
+    words += ["--no-augmentations", "--train", "a", "--test", "b", "--device", "cpu"]
+    for name, options in SMALL.items():
+        words += ["--option", f"{name}.cfg={options['cfg']}"]
+    with pytest.raises(SystemExit) as stopped:
+        main(["detector", "compare", str(scene.path), "-o", str(tmp_path / "out"), *words])
+    assert stopped.value.code == 2
+    said = capfd.readouterr()
+    assert "yolov3" in said.out
+    errors = [line for line in said.err.splitlines() if line.startswith("error: ")]
+    assert errors == ["error: yolov4 could not be compared: no memory"]
+    assert list(_written(tmp_path / "out")["detectors"]) == ["yolov3"]
+
+
+def test_rows_are_kept_as_they_come_and_are_not_measured_twice(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    trained = _fails("yolov4", monkeypatch, KeyboardInterrupt())  # type: ignore[arg-type]
+    with pytest.raises(KeyboardInterrupt):
+        compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    first = _written(out)["detectors"]
+    assert list(first) == ["yolov3"]
+    assert trained == ["yolov3", "yolov4"]
+
+    monkeypatch.undo()
+    trained = _fails("yolov4", monkeypatch, None)
+    compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    assert trained == ["yolov4"]
+    both = _written(out)["detectors"]
+    assert list(both) == ["yolov3", "yolov4"]
+    assert both["yolov3"] == first["yolov3"]
+    compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    assert trained == ["yolov4"]
+    assert _written(out)["detectors"] == both
+
+
+def _another_box(scene: Scene, out: Path) -> dict[str, object]:
+    path = scene.path.parent / "boxes" / "b.csv"
+    path.write_text(path.read_text().rpartition("\n5,")[0] + "\n")
+    return {}
+
+
+def _damaged(scene: Scene, out: Path) -> dict[str, object]:
+    (out / "yolov3" / MEASURED).write_text("{")
+    return {}
+
+
+def _no_detector(scene: Scene, out: Path) -> dict[str, object]:
+    (out / "yolov3" / "yolov3.onnx").unlink()
+    return {}
+
+
+@pytest.mark.parametrize("change", [_another_box, _damaged, _no_detector])
+def test_what_was_measured_of_something_else_is_measured_anew(
+    change: Callable[[Scene, Path], dict[str, object]],
+    scene: Scene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / "out"
+    one = BOTH | {"architectures": ("yolov3",)}
+    before = compare_detectors(scene, _recipe(), ("b",), out, **one)
+    change(scene, out)
+    trained = _fails("yolov3", monkeypatch, None)
+    after = compare_detectors(Scene.load(scene.path), _recipe(), ("b",), out, **one)
+    assert trained == ["yolov3"]
+    # The training itself was whole, and is not repeated.
+    assert after.rows[0].training_s == before.rows[0].training_s
+    assert after.rows[0].report.drawn == (5 if change is _another_box else 6)
+
+
+def test_another_recipe_is_said_in_the_row(scene: Scene, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    one = BOTH | {"architectures": ("yolov3",)}
+    compare_detectors(scene, _recipe(), ("b",), out, **one)
+    longer = replace(_recipe(), training=TrainingSettings(steps=3, device="cpu", threads=1))
+    made = compare_detectors(scene, longer, ("b",), out, **BOTH)
+    assert [row.name for row in made.rows] == ["yolov4"]
+    assert "is of a run with other settings" in made.failed["yolov3"]
+
+
+def test_a_row_is_the_same_after_it_was_written(tmp_path: Path) -> None:
+    report = DetectionReport(
+        frames=3, drawn=0, found=0, map_50=math.nan, map_50_95=math.nan, iou=0.3, threshold=0.0,
+        recall=math.nan, precision=math.nan, false_per_frame=0.0, allowed_per_frame=1.0,
+        recall_at_allowed=math.nan, threshold_at_allowed=math.nan, mean_iou=math.nan,
+        mean_giou=math.nan, foot_px=math.nan,
+    )  # fmt: skip
+    row = ComparedDetector("harbour", 10, 20, 3.0, 4, math.nan, report)
+    write_json(tmp_path / "a.json", row.to_dict())
+    again = ComparedDetector.from_dict(json.loads((tmp_path / "a.json").read_text()))
+    assert repr(again) == repr(row)
+
+
+def test_the_figure_is_written_with_the_variants_there_are(tmp_path: Path) -> None:
+    history = {"YOLO only": [{"step": 1.0, "score": 0.2, "giou_loss": 1.5}]}
+    write_comparison(DetectorComparison((), history, {}, {}, {}), tmp_path)
+    assert (tmp_path / FIGURE).read_bytes()[:4] == b"\x89PNG"
+    assert _written(tmp_path)["augmentation"] == history
+
+
+def test_wrong_options_are_said_before_anything_is_trained(scene: Scene, tmp_path: Path) -> None:
+    options = SMALL | {"yolov4": {"depth": 3}}
+    with pytest.raises(InputError, match="unknown option of yolov4 'depth'"):
+        compare_detectors(scene, _recipe(), ("b",), tmp_path / "out", **BOTH | {"options": options})
     assert not (tmp_path / "out").exists()

@@ -1,14 +1,21 @@
-"""Detectors beside each other, as in the paper: its Table 1 and its Figure 2."""
+"""Detectors beside each other, as in the paper: its Table 1 and its Figure 2.
+
+What is measured is kept at once: `COMPARISON`, `TABLE` and `FIGURE` in the folder are whole at any
+time, and beside each training lies `MEASURED`, so that a comparison that was stopped goes on with
+what is missing.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import os
 import platform
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +24,8 @@ import torch
 from matplotlib.figure import Figure
 
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
-from sightline.errors import InputError, unknown_name
+from sightline.errors import InputError, SightlineError, unknown_name
+from sightline.evaluation.comparison import number
 from sightline.evaluation.detection import (
     DetectionReport,
     detect_labelled,
@@ -25,14 +33,22 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
-from sightline.scene import Scene
-from sightline.training.architecture import ARCHITECTURES
+from sightline.evaluation.report import write_json
+from sightline.formats.atomic import atomic_path
+from sightline.formats.labels import Labels
+from sightline.scene import Recording, Scene
+from sightline.training.architecture import ARCHITECTURES, build
 from sightline.training.augmentation import Augmentation
 from sightline.training.loop import find_device, versions
-from sightline.training.recipe import Recipe, TrainedDetector, train_detector
+from sightline.training.recipe import Recipe, train_detector
 from sightline.video import frames
 
 Tell = Callable[[str, float], None]
+
+COMPARISON = "comparison.json"
+TABLE = "comparison.md"
+FIGURE = "augmentation.png"
+MEASURED = "measured.json"
 
 VARIANTS: Mapping[str, tuple[bool, bool]] = {
     "YOLO + added": (True, True),
@@ -74,6 +90,17 @@ class ComparedDetector:
         """The row as JSON has it."""
         return {**asdict(self), "report": self.report.to_dict()}
 
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> ComparedDetector:
+        """The row from what `to_dict` gave; null is NaN."""
+        report = {name: _number(value) for name, value in content["report"].items()}
+        row = {name: _number(value) for name, value in content.items()}
+        return cls(**{**row, "report": DetectionReport(**report)})
+
+
+class ComparisonError(SightlineError):
+    """Some of the detectors could not be compared; the others were."""
+
 
 @dataclass(frozen=True)
 class DetectorComparison:
@@ -88,6 +115,7 @@ class DetectorComparison:
         settings: What all trainings had in common: ``steps`` at most, ``minutes`` at most (0: no
             limit), ``batch``, ``size_px`` of a crop, ``scales``, ``rate``, ``seed``, ``threads``,
             and ``options`` of the architectures.
+        failed: Why others have no row, by name; by folder where it is one of `VARIANTS`.
     """
 
     rows: tuple[ComparedDetector, ...]
@@ -95,11 +123,13 @@ class DetectorComparison:
     hardware: Mapping[str, Any]
     split: Mapping[str, Sequence[str]]
     settings: Mapping[str, Any]
+    failed: Mapping[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """All of it as JSON has it."""
         return {
             "detectors": {row.name: row.to_dict() for row in self.rows},
+            "failed": dict(self.failed),
             "augmentation": {
                 name: [dict(row) for row in history] for name, history in self.histories.items()
             },
@@ -124,14 +154,15 @@ def compare_detectors(
     """Train detectors alike, and measure them on recordings that none has seen.
 
     Every detector learns with the paper's five augmentations, YOLOv4 with its own (mosaic) besides,
-    as in the paper's Table 1; ``harbour`` with all that it was made with. A folder in which some
-    are trained already is gone on with.
+    as in the paper's Table 1; ``harbour`` with all that it was made with. One that fails is told
+    of, and the others are compared. A folder in which some are trained or measured already, with
+    the same recipe and data, is gone on with.
 
     Args:
         scene: Camera and recordings.
         recipe: What all have in common; its architecture, augmentation and options are replaced.
         test: Names of the recordings to measure on.
-        folder: Where each training gets a folder.
+        folder: Where each training gets a folder, and `write_comparison` its files after each.
         architectures: Which.
         options: Of each architecture.
         labels: A folder with drawn boxes for the test; absent: the scene's own.
@@ -140,92 +171,93 @@ def compare_detectors(
         progress: Told what is done, and the share.
 
     Raises:
-        InputError: A name is unknown, a recording is in two parts of the split, or something is
-            missing that a training needs.
+        InputError: A name or an option is unknown, a recording is in two parts of the split, or
+            something is missing that a training needs.
+        Exception: None could be compared: why the first could not.
     """
     tell = progress if progress is not None else _silent
-    for name in architectures:
-        if name not in ARCHITECTURES:
-            raise unknown_name("architecture", name, ARCHITECTURES)
-    for name in test:
-        if name in (*recipe.train, *recipe.validation):
-            raise InputError(
-                f"recording {name!r} is both learned from and tested on; a recording can be in one "
-                "part only"
-            )
-    if augmentations and not recipe.validation:
-        raise InputError(
-            "how YOLOv4 improves over training needs recordings to look at: --validation NAME,..."
-        )
-    known = {name: one for name, one in scene_labels(scene, labels).items() if name in test}
-    if set(known) != set(test) or not test:
-        missing = ", ".join(sorted(set(test) - set(known))) or "none was named"
-        raise InputError(
-            f"no boxes in pictures to test on ({missing}); give recordings that have both: "
-            "--test NAME,..."
-        )
     given = dict(options or {})
-    studied = list(VARIANTS) if augmentations else []
-    jobs = len(architectures) + len(studied)
-    done = 0
-
-    def learn(name: str, augmentation: Augmentation, where: str) -> TrainedDetector:
-        nonlocal done
-        own = replace(
-            recipe, architecture=name, augmentation=augmentation, options=given.get(name, {})
-        )
-        share = done / jobs
-        made = train_detector(
-            scene,
-            own,
-            folder / where,
-            progress=lambda what, part: tell(
-                f"{where}: {what}", share + (part / jobs if math.isfinite(part) else 0.0)
-            ),
-        )
-        done += 1
-        return made
-
-    rows = []
-    scales = recipe.augmentation.scales
-    for name in architectures:
-        made = learn(name, _usual(name, scales), name)
-        tell(f"{name}: measuring", done / jobs)
-        detector = OnnxDetector(made.path, options=_options())
-        report = score_detections(pooled(detect_labelled(scene, known, detector)))
-        rows.append(
-            ComparedDetector(
-                name=name,
-                parameters=made.parameters,
-                file_bytes=made.path.stat().st_size,
-                training_s=made.training.learned_s,
-                steps=made.training.steps,
-                frame_ms=_frame_ms(scene, test[0], detector),
-                report=report,
-            )
-        )
+    known = _checked(scene, recipe, test, architectures, given, labels, augmentations)
+    jobs = _jobs(recipe, architectures, given, augmentations)
+    data = _fingerprint(scene, (*recipe.train, *recipe.validation, *test), recipe, labels)
+    rows: list[ComparedDetector] = []
+    failed: dict[str, str] = {}
     histories: dict[str, Sequence[Mapping[str, float]]] = {}
-    for variant in studied:
-        augmentation = _augmentation(*VARIANTS[variant], scales)
-        # The first is the one of the table, and is not trained again.
-        where = _STUDIED if variant == "YOLO + added" else f"{_STUDIED}-{variant.replace(' ', '-')}"
-        histories[variant] = learn(_STUDIED, augmentation, where).training.history
-    return DetectorComparison(
-        rows=tuple(rows),
-        histories=histories,
-        hardware=hardware(recipe.training.device),
-        split={"train": recipe.train, "validation": recipe.validation, "test": tuple(test)},
-        settings={
-            "steps": recipe.training.steps,
-            "minutes": recipe.training.minutes,
-            "batch": recipe.batch,
-            "size_px": list(recipe.size_px),
-            "scales": list(scales),
-            "rate": recipe.training.rate,
-            "seed": recipe.training.seed,
-            "threads": recipe.training.threads,
-            "options": {name: dict(values) for name, values in given.items()},
-        },
+
+    def so_far() -> DetectorComparison:
+        return DetectorComparison(
+            rows=tuple(rows),
+            histories=dict(histories),
+            hardware=hardware(recipe.training.device),
+            split={"train": recipe.train, "validation": recipe.validation, "test": tuple(test)},
+            settings=_settings(recipe, given),
+            failed=dict(failed),
+        )
+
+    errors: list[Exception] = []
+    for done, job in enumerate(jobs):
+        where = folder / job.where
+        identity = _identity(job.recipe, data, test)
+        kept = _kept(where, job.recipe.architecture, identity, job.row)
+        try:
+            if kept is None:
+                kept = _measured(scene, known, test, job, where, tell, done / len(jobs), len(jobs))
+                write_json(where / MEASURED, {"identity": identity, **kept})
+        # Whatever one of them dies of must not cost the others their hours.
+        except Exception as error:
+            errors.append(error)
+            failed[job.where] = " ".join(str(error).split()) or type(error).__name__
+        else:
+            if job.row:
+                rows.append(ComparedDetector.from_dict(kept["row"]))
+            if job.variant is not None:
+                histories[job.variant] = kept["history"]
+        if folder.exists():
+            write_comparison(so_far(), folder)
+    if errors and not rows and not histories:
+        raise errors[0]
+    return so_far()
+
+
+def write_comparison(comparison: DetectorComparison, folder: Path) -> None:
+    """Write all that is known: `COMPARISON`, `TABLE` and, where it was asked for, `FIGURE`.
+
+    Raises:
+        InputError: A file cannot be written.
+    """
+    write_json(folder / COMPARISON, comparison.to_dict())
+    with atomic_path(folder / TABLE) as temporary:
+        temporary.write_text(comparison_table(comparison), encoding="utf-8")
+    if comparison.histories:
+        with atomic_path(folder / FIGURE) as temporary:
+            augmentation_figure(comparison).savefig(temporary, dpi=150)
+
+
+HEADINGS = ("detector", "training", "batches", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95")
+
+
+def comparison_cells(comparison: DetectorComparison) -> list[tuple[str, ...]]:
+    """The paper's Table 1: a row for each of the rows, below `HEADINGS`."""
+    return [
+        (
+            row.name,
+            f"{row.training_s / 60.0:.1f} min",
+            str(row.steps),
+            f"{row.frame_ms:.0f} ms",
+            f"{row.parameters / 1e6:.1f} M",
+            number(row.report.map_50),
+            number(row.report.map_50_95),
+        )
+        for row in comparison.rows
+    ]
+
+
+def comparison_table(comparison: DetectorComparison) -> str:
+    """The same in Markdown, with what failed below."""
+    lines = [HEADINGS, ("---",) * len(HEADINGS), *comparison_cells(comparison)]
+    table = "".join("| " + " | ".join(cells) + " |\n" for cells in lines)
+    return table + "".join(
+        f"\n{name} could not be compared: {why}\n" for name, why in comparison.failed.items()
     )
 
 
@@ -279,6 +311,192 @@ def _cpu() -> str:
     return next(named, platform.processor() or platform.machine())
 
 
+@dataclass(frozen=True)
+class _Job:
+    """A training, and what of it is wanted: the row, the history as one of `VARIANTS`, or both."""
+
+    recipe: Recipe
+    where: str
+    row: bool
+    variant: str | None = None
+
+
+def _jobs(
+    recipe: Recipe,
+    architectures: Sequence[str],
+    options: Mapping[str, Mapping[str, Any]],
+    augmentations: bool,
+) -> list[_Job]:
+    scales = recipe.augmentation.scales
+
+    def own(name: str, augmentation: Augmentation) -> Recipe:
+        return replace(
+            recipe, architecture=name, augmentation=augmentation, options=options.get(name, {})
+        )
+
+    both = next(iter(VARIANTS))
+    jobs = [
+        _Job(
+            own(name, _usual(name, scales)),
+            name,
+            row=True,
+            variant=both if augmentations and name == _STUDIED else None,
+        )
+        for name in architectures
+    ]
+    if augmentations:
+        jobs += [
+            _Job(
+                own(_STUDIED, _augmentation(*parts, scales)),
+                _STUDIED if variant == both else f"{_STUDIED}-{variant.replace(' ', '-')}",
+                row=False,
+                variant=variant,
+            )
+            for variant, parts in VARIANTS.items()
+            if variant != both or _STUDIED not in architectures
+        ]
+    return jobs
+
+
+def _checked(
+    scene: Scene,
+    recipe: Recipe,
+    test: Sequence[str],
+    architectures: Sequence[str],
+    options: Mapping[str, Mapping[str, Any]],
+    labels: Path | None,
+    augmentations: bool,
+) -> dict[str, Labels]:
+    """What is known of the recordings to test on; all that can be refused at once is."""
+    for name in architectures:
+        if name not in ARCHITECTURES:
+            raise unknown_name("architecture", name, ARCHITECTURES)
+    for name in test:
+        if name in (*recipe.train, *recipe.validation):
+            raise InputError(
+                f"recording {name!r} is both learned from and tested on; a recording can be in one "
+                "part only"
+            )
+    if augmentations and not recipe.validation:
+        raise InputError(
+            "how YOLOv4 improves over training needs recordings to look at: --validation NAME,..."
+        )
+    known = {name: one for name, one in scene_labels(scene, labels).items() if name in test}
+    if set(known) != set(test) or not test:
+        missing = ", ".join(sorted(set(test) - set(known))) or "none was named"
+        raise InputError(
+            f"no boxes in pictures to test on ({missing}); give recordings that have both: "
+            "--test NAME,..."
+        )
+    find_device(recipe.training.device)
+    for name in dict.fromkeys((*architectures, *([_STUDIED] if augmentations else []))):
+        # A wrong option is said before hours are spent on the others.
+        build(name, recipe.labels.class_names, **options.get(name, {}))
+    return known
+
+
+def _measured(
+    scene: Scene,
+    known: Mapping[str, Labels],
+    test: Sequence[str],
+    job: _Job,
+    where: Path,
+    tell: Tell,
+    share: float,
+    jobs: int,
+) -> dict[str, Any]:
+    """Train, and measure if there is to be a row."""
+    made = train_detector(
+        scene,
+        job.recipe,
+        where,
+        progress=lambda what, part: tell(
+            f"{job.where}: {what}", share + (part / jobs if math.isfinite(part) else 0.0)
+        ),
+    )
+    content: dict[str, Any] = {"history": [dict(row) for row in made.training.history]}
+    if job.row:
+        tell(f"{job.where}: measuring", share + 1.0 / jobs)
+        detector = OnnxDetector(made.path, options=_options())
+        row = ComparedDetector(
+            name=job.recipe.architecture,
+            parameters=made.parameters,
+            file_bytes=made.path.stat().st_size,
+            training_s=made.training.learned_s,
+            steps=made.training.steps,
+            frame_ms=_frame_ms(scene, test[0], detector),
+            report=score_detections(pooled(detect_labelled(scene, known, detector))),
+        )
+        content["row"] = row.to_dict()
+    return content
+
+
+def _kept(where: Path, architecture: str, identity: str, row: bool) -> dict[str, Any] | None:
+    """What was measured of the same recipe and data before; None if it has to be done."""
+    try:
+        content = json.loads((where / MEASURED).read_text(encoding="utf-8"))
+        if content["identity"] != identity or not (where / f"{architecture}.onnx").exists():
+            return None
+        if row:
+            ComparedDetector.from_dict(content["row"])
+        return {"history": list(content["history"]), **({"row": content["row"]} if row else {})}
+    # A damaged one is none.
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _identity(recipe: Recipe, data: str, test: Sequence[str]) -> str:
+    """A hash of what a row depends on; where and with how many threads it runs is left out."""
+    content = asdict(recipe)
+    # What is in these files is part of ``data``, wherever they lie.
+    del content["labels"]["folders"], content["initial"]
+    for free in ("device", "threads", "checkpoint_every"):
+        del content["training"][free]
+    content |= {"data": data, "test": list(test)}
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def _fingerprint(scene: Scene, names: Sequence[str], recipe: Recipe, labels: Path | None) -> str:
+    """A hash of the boxes, and of the sizes of pictures, which are too many to be read for it."""
+    found = hashlib.sha256()
+    recordings = [one for one in scene.recordings if one.name in names]
+    tables = [one.boxes_path for one in recordings if one.boxes_path is not None]
+    for folder in dict.fromkeys((*recipe.labels.folders, *([labels] if labels else []))):
+        tables += sorted(Path(folder).glob("*.csv"))
+    for table in (*tables, *([recipe.initial] if recipe.initial else [])):
+        if table.is_file():
+            found.update(table.name.encode() + table.read_bytes())
+    for recording in recordings:
+        found.update(repr([recording.name, _sizes(recording)]).encode())
+    return found.hexdigest()
+
+
+def _sizes(recording: Recording) -> list[tuple[str, int]]:
+    source = recording.source
+    if source is None or not source.exists():
+        return []
+    files = sorted(source.iterdir()) if source.is_dir() else [source]
+    return [(file.name, file.stat().st_size) for file in files]
+
+
+def _settings(recipe: Recipe, options: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {
+        "steps": recipe.training.steps,
+        "minutes": recipe.training.minutes,
+        "batch": recipe.batch,
+        "size_px": list(recipe.size_px),
+        "scales": list(recipe.augmentation.scales),
+        "rate": recipe.training.rate,
+        "seed": recipe.training.seed,
+        "threads": recipe.training.threads,
+        "options": {name: dict(values) for name, values in options.items()},
+    }
+
+
+def _number(value: Any) -> Any:
+    return math.nan if value is None else value
+
+
 def _usual(name: str, scales: tuple[float, float]) -> Augmentation:
     if name == "harbour":
         return Augmentation(scales=scales)
@@ -311,13 +529,13 @@ def _frame_ms(scene: Scene, name: str, detector: OnnxDetector) -> float:
     assert recording.source is not None
     detector.reset()
     took = []
-    for number, frame in enumerate(frames(recording.source)):
-        if number > _TIMED_FRAMES:
+    for count, frame in enumerate(frames(recording.source)):
+        if count > _TIMED_FRAMES:
             break
         begun = time.perf_counter()
         detector.detect(frame)
         # The first plans where to look, which is done once.
-        if number:
+        if count:
             took.append(time.perf_counter() - begun)
     return 1e3 * statistics.median(took) if took else math.nan
 

@@ -37,10 +37,7 @@ from sightline.cli.parsing import (
     parse_pair,
     parse_size_px,
 )
-from sightline.evaluation.comparison import number
-from sightline.evaluation.report import write_json
 from sightline.formats import _extras
-from sightline.formats.atomic import atomic_path
 from sightline.scene import Scene
 from sightline.training.architecture import ARCHITECTURES
 
@@ -96,7 +93,13 @@ def compare(
     _extras.module("torch", "train")
     # Late: without torch the other commands must work.
     from sightline.training.augmentation import Augmentation
-    from sightline.training.comparison import augmentation_figure, compare_detectors
+    from sightline.training.comparison import (
+        COMPARISON,
+        HEADINGS,
+        ComparisonError,
+        compare_detectors,
+        comparison_cells,
+    )
     from sightline.training.data import Labels
     from sightline.training.loop import TrainingSettings
     from sightline.training.recipe import Recipe
@@ -140,24 +143,10 @@ def compare(
             augmentations=augmentations,
             progress=tell,
         )
-    write_json(output / "comparison.json", made.to_dict())
     write_result(json, made.to_dict())
-    if made.histories:
-        with atomic_path(output / "augmentation.png") as temporary:
-            augmentation_figure(made).savefig(temporary, dpi=150)
-    table = Table(
-        "detector", "training", "batches", "a frame", "parameters", "mAP @ 0.5", "mAP .5:.95"
-    )
-    for row in made.rows:
-        table.add_row(
-            row.name,
-            f"{row.training_s / 60.0:.1f} min",
-            str(row.steps),
-            f"{row.frame_ms:.0f} ms",
-            f"{row.parameters / 1e6:.1f} M",
-            number(row.report.map_50),
-            number(row.report.map_50_95),
-        )
+    table = Table(*HEADINGS)
+    for cells in comparison_cells(made):
+        table.add_row(*cells)
     stdout.print(table)
     ran = made.hardware
     trained_on = ran["gpu"] or "the same"
@@ -166,4 +155,8 @@ def compare(
         f"{drawn} boxes in recordings {', '.join(for_test)}; frames on {ran['cpu']} "
         f"({ran['cores']} cores), training on {trained_on}"
     )
-    say(f"comparison: {output / 'comparison.json'}")
+    say(f"comparison: {output / COMPARISON}")
+    if made.failed:
+        raise ComparisonError(
+            "; ".join(f"{name} could not be compared: {why}" for name, why in made.failed.items())
+        )
