@@ -6,9 +6,9 @@
     python benchmarks/detectors/measure.py --comparison DIR
 
 Rows of detectors that are named are measured anew, the others stay. With ``--comparison`` the
-detectors are those that ``sightline detector compare -o DIR`` trained: their rows tell of the
-training, and of what the comparison measured; only the time of a frame is taken here. That is the
-processor's, with one thread, so that other programs do not count.
+detectors are those that ``sightline detector compare -o DIR`` trained, and their rows tell of the
+training as well. The time of a frame is the processor's, with one thread, so that other programs do
+not count.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import os
 import statistics
 import time
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +39,6 @@ DATA = Path(os.environ.get("SIGHTLINE_DATA", HERE.parents[1] / ".." / "shared" /
 DRAWN = HERE.parent / "tracks-at-sea"
 TABLE = HERE / "table.json"
 TEST = ("08", "13", "17", "21")
-
-TIMED_FRAMES = 8
 
 HABITS: dict[str, tuple[dict[str, Margin], float]] = {
     "drawn": ({}, 0.0),
@@ -136,15 +133,6 @@ def chosen(report: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def timed_alone(file: str) -> float:
-    """Time of a frame, from a few of them."""
-    timed = detector_of(file)
-    for recording in test_scene().recordings[:1]:
-        for frame in islice(recording.frames(), TIMED_FRAMES):
-            timed.detect(frame)
-    return frame_cpu_ms(timed)
-
-
 def trained(folder: Path) -> dict[str, tuple[str, dict[str, Any]]]:
     """The files of a comparison, and what is known of their training."""
     content = json.loads((folder / "comparison.json").read_text())
@@ -155,7 +143,6 @@ def trained(folder: Path) -> dict[str, tuple[str, dict[str, Any]]]:
             "file_bytes": row["file_bytes"],
             "training_min": round(row["training_s"] / 60.0, 1),
             "batches": row["steps"],
-            "drawn": chosen(row["report"]),
             "settings": content["settings"],
             "hardware": content["hardware"],
             "split": content["split"],
@@ -181,12 +168,9 @@ def main() -> None:
         jobs |= trained(folder)
     table = json.loads(TABLE.read_text()) if TABLE.exists() else {}
     for name, (file, about) in jobs.items():
-        if about:
-            table[name] = about | {"frame_cpu_ms": timed_alone(file)}
-        else:
-            table[name] = table.get(name, {}) | measure(
-                detector_of(file, given.classes, given.views)
-            )
+        measured = measure(detector_of(file, given.classes, given.views))
+        # Of another training nothing may stay.
+        table[name] = (about or table.get(name, {})) | measured
         with atomic_path(TABLE) as temporary:
             temporary.write_text(json.dumps(table, indent=1) + "\n")
     print("| detector | parameters | training | batches | a frame | mAP @ 0.5 | .5:.95 | recall |")
