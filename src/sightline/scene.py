@@ -39,6 +39,7 @@ class _CameraTable(_Table):
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
     image_size_px: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None
+    watched: bool = True
 
     @model_validator(mode="after")
     def _whole_place(self) -> Self:
@@ -130,12 +131,14 @@ class CameraSite:
         latitude_deg: Degrees north; None if it is not known.
         longitude_deg: Degrees east; None if it is not known.
         image_size_px: Width and height; None where the scene file leaves that to the video.
+        watched: Whether pictures are asked if the camera was turned, and a turn is made up for.
     """
 
     name: str = ""
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     image_size_px: tuple[int, int] | None = None
+    watched: bool = True
 
 
 @dataclass(frozen=True)
@@ -268,8 +271,11 @@ class Recording:
         fixes = self.fixes()
         return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, *, apart_s: float = 0.0) -> Iterator[Frame]:
         """The pictures, one at a time, with their times; NaN where nothing tells them.
+
+        Args:
+            apart_s: Pictures that follow the one before them sooner are left out.
 
         Raises:
             InputError: The recording has none, or they cannot be read.
@@ -277,8 +283,8 @@ class Recording:
         if self.source is None:
             raise InputError(f"recording {self.name}: has no pictures; give video or frames")
         if self.clock_path is not None:
-            return video.frames(self.source, clock=self.clock())
-        return video.frames(self.source, start_utc_s=self.start_utc_s)
+            return video.frames(self.source, clock=self.clock(), apart_s=apart_s)
+        return video.frames(self.source, start_utc_s=self.start_utc_s, apart_s=apart_s)
 
     def _timed(self, boxes: Boxes, path: Path) -> Boxes:
         if self.image_size_px is not None:
@@ -326,6 +332,7 @@ class Scene:
             latitude_deg=table.camera.latitude_deg,
             longitude_deg=table.camera.longitude_deg,
             image_size_px=(size[0], size[1]) if size else None,
+            watched=table.camera.watched,
         )
         names = [recording.name for recording in table.recordings]
         for name in names:

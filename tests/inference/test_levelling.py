@@ -10,13 +10,15 @@ import sightline
 from sightline.cli import main
 from sightline.detection.waterline import find_waterline
 from sightline.errors import InputError
+from sightline.geodesy import LocalPlane
 from sightline.inference.camera import Camera
 from sightline.inference.levelling import level, scene_horizons
-from sightline.pipeline import leave_one_out, place_boxes, score
+from sightline.pipeline import leave_one_out, place_boxes, score, with_forecasts
 from sightline.simulation import simulate
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway
-from sightline.types import Boxes, Horizons
+from sightline.trajectory.forecast import follow
+from sightline.types import Boxes, Horizons, Positions
 
 LENS = {"height_m": 5.0, "heading_deg": 30.0, "k1": -0.12, "k2": 0.02}
 
@@ -104,6 +106,31 @@ def test_a_camera_under_way_is_learned_and_its_ellipses_hold(at_sea: sightline.S
     report = score(placed, "rts")
     assert report.ape.per_range < 0.08
     assert report.coverage.p95 >= 0.85
+
+
+def test_forecasts_from_on_board_are_scored_on_the_earth(at_sea: sightline.Scene) -> None:
+    placed = place_boxes(at_sea, leave_one_out(at_sea, "camera").__getitem__)
+    report = with_forecasts(score(placed), placed)
+    assert report.forecast is not None
+    for ahead in ("10", "30", "60"):
+        error = report.forecast[ahead]
+        assert error.n > 100
+        # The log knows where the target is to a metre or two, and goes straight on.
+        assert error.rmse < error.beside_log.log_rmse
+
+
+def test_a_target_at_rest_is_foretold_to_stay_though_the_platform_goes_on() -> None:
+    plane = LocalPlane(54.3, 10.1)
+    times = np.arange(0.0, 40.0, 1.0)
+    en_m = np.stack([2.0 * times, 1.0 * times], axis=1)
+    apart = np.array([60.0, 200.0]) - en_m
+    noise = np.tile(0.25 * np.eye(2), (times.size, 1, 1))
+    seen = Positions(apart[:, 0], apart[:, 1], noise, np.zeros(times.size, bool), plane)
+    followed = follow(times, seen)
+    velocity_mps = np.tile([2.0, 1.0], (times.size, 1))
+    mean, _ = followed.moved(en_m, velocity_mps)[-1:].ahead(10.0).moments()
+    np.testing.assert_allclose(mean[0, :2], [60.0, 200.0], atol=1.0)
+    np.testing.assert_allclose(mean[0, 2:], 0.0, atol=0.2)
 
 
 def test_without_levelling_it_would_be_lost(at_sea: sightline.Scene) -> None:

@@ -63,6 +63,27 @@ def test_a_clock_alone_tells_the_times(video: Path) -> None:
     assert [f.time_utc_s for f in frames(video, clock=clock)][:3] == [500.0, 502.0, 504.0]
 
 
+def test_frames_that_come_too_soon_are_left_out(
+    video: Path, irregular_s: np.ndarray, tmp_path: Path
+) -> None:
+    seen = list(frames(video, apart_s=0.5))
+    times = np.array([frame.time_utc_s for frame in seen])
+    assert times[0] == pytest.approx(irregular_s[0], abs=9e-6)
+    assert np.diff(times).min() >= 0.5
+    # None is left out that might have been kept, and those kept have their own number.
+    assert np.diff(times).max() <= 0.5 + np.diff(irregular_s).max()
+    np.testing.assert_allclose(
+        times, irregular_s[[frame.index for frame in seen]], rtol=0, atol=9e-6
+    )
+    clock = presentation_clock(0.0, np.arange(50.0))
+    assert [f.index for f in frames(video, clock=clock, apart_s=10.0)] == [0, 10, 20, 30, 40]
+    for number in range(6):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros((8, 8, 3), np.uint8))
+    assert [f.index for f in frames(tmp_path, clock=clock, apart_s=2.0)] == [0, 2, 4]
+    # Where nothing tells the times, nothing is too soon.
+    assert len(list(frames(tmp_path, apart_s=2.0))) == 6
+
+
 def test_a_real_clip(data_dir: Path) -> None:
     path = data_dir / "otvision" / "Cars-Truck.mp4"
     info = video_info(path)

@@ -80,6 +80,10 @@ def track(
             "their own beside each FILE, NAME-forecast.",
         ),
     ] = None,
+    correct_turns: Annotated[
+        bool,
+        typer.Option(help="Make up for turns of the camera that its pictures show."),
+    ] = True,
     json: JsonOption = None,
 ) -> None:
     """Make smooth tracks of everything in a video, a stream or a table of boxes."""
@@ -89,7 +93,9 @@ def track(
     fitted = load_model(model)
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video, folder or table")
-    settings = TrackSettings(trajectory=trajectory, interval_s=interval_s)
+    settings = TrackSettings(
+        trajectory=trajectory, interval_s=interval_s, correct_turns=correct_turns
+    )
     if forecast_s is not None:
         settings = replace(settings, forecast_s=forecast_s)
     times = formats.read_clock(clock) if clock is not None else None

@@ -15,6 +15,7 @@ from sightline.detection.by_name import DEFAULT_DETECTOR, detector_by_name
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
+from sightline.detection.stances import StanceWatch, remember_stances, stances_known
 from sightline.detection.water_edge import StillPicture
 from sightline.errors import InputError
 from sightline.scene import Recording, Scene
@@ -221,6 +222,11 @@ class SceneDetections:
         if self._stills_wanted and recording.name not in self._stills:
             still = StillPicture.of(recording)
             lookers.append(still)
+        stances: StanceWatch | None = None
+        still_standing = self._scene.camera.watched and recording.platform_path is None
+        if still_standing and not stances_known(recording):
+            stances = StanceWatch()
+            lookers.append(stances)
         where = f"recording {recording.name}"
         frames = usable(recording.frames(), self._scene.image_size_px, where)
         found = list(
@@ -232,6 +238,8 @@ class SceneDetections:
             )
         )
         self._found[recording.name] = Boxes.concatenate(found), np.array(times.utc_s)
+        if stances is not None:
+            remember_stances(recording, stances.stances)
         if still is not None:
             self._stills[recording.name] = still.picture()
 

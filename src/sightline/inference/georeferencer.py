@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.detection.camera_motion import Stance, View
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
@@ -25,6 +26,7 @@ from sightline.inference.levelling import level, nominal_camera, scene_horizons
 from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
 from sightline.inference.paper import PAPER_MODELS, PaperModel, paper_model
 from sightline.inference.support import Support
+from sightline.inference.turning import Turns, reference_view, scene_stances
 from sightline.scene import Scene
 from sightline.types import BoolArray, Boxes, FloatArray, Horizons, Positions, check_boxes
 
@@ -33,6 +35,7 @@ MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
 
 DEFAULT_MODEL = "camera+gpr"
 
+_FOCAL = PARAMETERS.index("focal_px")
 _UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
 
 
@@ -188,6 +191,8 @@ class Georeferencer:
             lies as it did for the model, None where it was taken never to roll or pitch.
         moving: Whether the camera stands on a platform that moves. Then places are to starboard
             and ahead of that: see `sightline.platform`.
+        view: What stands still before the camera as it lies for the model, so that it shows in
+            later pictures whether it was turned since; None where no pictures tell.
     """
 
     model: str
@@ -198,6 +203,7 @@ class Georeferencer:
     report: FitReport
     horizon_px: tuple[float, float] | None = None
     moving: bool = False
+    view: View | None = None
 
     @property
     def camera(self) -> Camera | None:
@@ -267,6 +273,17 @@ class Georeferencer:
             return boxes
         camera = self.camera or nominal_camera(self.image_size_px)
         return level(boxes, horizons, self.horizon_px, camera)[0]
+
+    def turns(self, stances: Sequence[Stance]) -> Turns | None:
+        """How the camera lay in the stances of a recording, against how it lies for the model.
+
+        Returns:
+            None where it was not turned, nothing tells, or the model has no camera that stands
+            still.
+        """
+        if self.camera is None or self.moving:
+            return None
+        return _turns(self, stances, self.view)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the model to a file, whole or not at all; see `sightline.load`."""
@@ -383,7 +400,80 @@ def fit_pairs(
     landmarks: Landmarks | None = None,
     beliefs: Mapping[str, SourceBelief] | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from pairs, control points and landmarks; see `fit`."""
+    """Learn a georeferencer from pairs, control points and landmarks; see `fit`.
+
+    Where the pictures of the scene show that its camera was turned, in a recording or between two,
+    boxes are put where they would be without the turn, and the model is of the camera as it lay
+    at the end. The paper's models have no camera, and learn from the boxes as they are.
+    """
+
+    def learn(pairs: Pairs) -> Georeferencer:
+        return _fit_pairs(
+            pairs,
+            scene,
+            model,
+            position_known=position_known,
+            image_size_px=image_size_px,
+            seed=seed,
+            prior=prior,
+            landmarks=landmarks,
+            beliefs=beliefs,
+        )
+
+    fitted = learn(pairs)
+    camera = fitted.camera
+    stances = {} if camera is None else scene_stances(scene)
+    view = reference_view(stances)
+    if camera is None or view is None:
+        return fitted
+    turns = {
+        name: found
+        for name, own in stances.items()
+        if (found := _turns(fitted, own, view)) is not None
+    }
+    if turns:
+        levelled = _levelled(pairs, turns)
+        fitted = learn(levelled)
+        said = (
+            f"The camera was turned: in recordings {', '.join(turns)} it did not always lie as at "
+            "the end. Their boxes were put where they would be if it had."
+        )
+        report = replace(fitted.report, statements=(*fitted.report.statements, said))
+        fitted = replace(fitted, report=report)
+    return replace(fitted, view=view)
+
+
+def _turns(fitted: Georeferencer, stances: Sequence[Stance], view: View | None) -> Turns | None:
+    assert isinstance(fitted.regressor, CameraRegressor), "the caller has looked"
+    fit = fitted.regressor.fit_
+    focal_log_sigma = float(np.sqrt(fit.covariance[_FOCAL, _FOCAL]))
+    return Turns.of(stances, fit.camera, view, focal_log_sigma=focal_log_sigma)
+
+
+def _levelled(pairs: Pairs, turns: Mapping[str, Turns]) -> Pairs:
+    """Pairs with the turns of their recordings taken off their boxes."""
+    xyxy_px = pairs.boxes.xyxy_px.copy()
+    usable = np.ones(len(pairs), dtype=bool)
+    for name, own in turns.items():
+        rows = np.flatnonzero(pairs.recording == name)
+        moved, known = own.moved(pairs.boxes[rows])
+        xyxy_px[rows[known]] = moved[known]
+        usable[rows] = known
+    return replace(pairs, boxes=pairs.boxes.with_columns(xyxy_px=xyxy_px))[usable]
+
+
+def _fit_pairs(
+    pairs: Pairs,
+    scene: Scene,
+    model: str,
+    *,
+    position_known: bool,
+    image_size_px: tuple[int, int],
+    seed: int,
+    prior: CameraPrior | None,
+    landmarks: Landmarks | None,
+    beliefs: Mapping[str, SourceBelief] | None,
+) -> Georeferencer:
     far = Landmarks.none() if landmarks is None else landmarks
     control = scene.control_points
     control_east_north = np.stack(

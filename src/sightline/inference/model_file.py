@@ -11,6 +11,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
+from sightline.detection.camera_motion import View
 from sightline.errors import ModelFileError, SightlineError
 from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
@@ -22,6 +23,7 @@ from sightline.inference.support import Support
 FORMAT = "sightline-model"
 FORMAT_VERSION = 1
 
+_VIEW = ("strips", "top_px", "left_px")
 _DAMAGE = (
     ArithmeticError,
     AttributeError,
@@ -53,6 +55,10 @@ def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Pa
         content["moving"] = True
     tensors = {f"regressor.{name}": np.ascontiguousarray(a) for name, a in arrays.items()}
     tensors["support"] = np.ascontiguousarray(georeferencer.support.planes)
+    if georeferencer.view is not None:
+        for name in _VIEW:
+            tensors[f"view.{name}"] = np.ascontiguousarray(getattr(georeferencer.view, name))
+        content["view_landmarks"] = georeferencer.view.landmarks
     with atomic_path(path) as temporary:
         metadata = {
             "format": FORMAT,
@@ -125,7 +131,18 @@ def _build(content: dict[str, Any], tensors: dict[str, Any]) -> Georeferencer:
         report=FitReport.from_dict(content["report"]),
         horizon_px=_horizon(content.get("horizon_px")),
         moving=bool(content.get("moving", False)),
+        view=_view(tensors, bool(content.get("view_landmarks", True))),
     )
+
+
+def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:
+    if "view.strips" not in tensors:
+        return None
+    strips, *places = (np.asarray(tensors[f"view.{name}"]) for name in _VIEW)
+    if strips.dtype != np.uint8:
+        raise ValueError("its view is no picture")
+    top_px, left_px = (place.astype(np.int64) for place in places)
+    return View(strips, top_px, left_px, landmarks)
 
 
 def _horizon(rows: Any) -> tuple[float, float] | None:

@@ -19,17 +19,21 @@ from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferenc
 from sightline.inference.levelling import scene_horizons
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
+from sightline.inference.turning import Turns
+from sightline.pipeline.standing import recording_turns
 from sightline.pipeline.tracking import (
     DEFAULT_TRAJECTORY,
     TrackSettings,
     check_platform,
+    locate,
     smooth_boxes,
+    states,
 )
 from sightline.platform import Platform, moved_positions, north_up
 from sightline.scene import Scene
 from sightline.tracks import Tracks
 from sightline.trajectory import method
-from sightline.trajectory.forecast import MotionState, follow
+from sightline.trajectory.forecast import MotionState
 from sightline.types import Boxes, Fixes, Track
 
 
@@ -84,6 +88,7 @@ class Placed:
         model: That placed them.
         fixes: The log.
         platform: What the camera stands on, where that moves.
+        turns: How the camera lay, where it was turned; the boxes are levelled.
     """
 
     recording: str
@@ -91,10 +96,11 @@ class Placed:
     model: Georeferencer
     fixes: Fixes
     platform: Platform | None = None
+    turns: Turns | None = None
 
     def single(self) -> ScoredPairs:
         """Each box by itself beside the log."""
-        positions = self.model.locate(self.boxes.xyxy_px, self.boxes.source)
+        positions = locate(self.boxes, self.model, self.turns)
         if self.platform is not None:
             pose = self.platform.pose(self.boxes.time_utc_s, self.model.plane)
             positions = moved_positions(north_up(positions, pose), pose)
@@ -116,18 +122,20 @@ class Placed:
             settings,
             track_id=1,
             platform=self.platform,
+            turns=self.turns,
         )
 
     def states(self) -> MotionState | None:
         """What was known of the target at each box, by that and those before.
 
-        None where no box has a place, and before a moving camera: what it measures is relative to
-        it, and forecasts are made on the earth.
+        None where no box has a place.
         """
-        positions = self.model.locate(self.boxes.xyxy_px, self.boxes.source)
-        if self.platform is not None or not positions.known.any():
+        known = locate(self.boxes, self.model, self.turns).known
+        if self.platform is not None:
+            known = known & self.platform.pose(self.boxes.time_utc_s, self.model.plane).known
+        if not known.any():
             return None
-        return follow(self.boxes.time_utc_s, positions)
+        return states(self.boxes, self.model, self.platform, self.turns)
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
@@ -147,7 +155,10 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
         boxes = model.level(recording.boxes(), scene_horizons(recording))
-        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform))
+        turns = recording_turns(recording, model) if scene.camera.watched else None
+        if turns is not None:
+            boxes = turns.level(boxes)
+        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform, turns))
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"

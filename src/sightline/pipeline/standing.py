@@ -1,56 +1,92 @@
-"""Whether a camera that ought to stand still did: a model that was fitted does not hold after."""
+"""Whether a camera that ought to stand still did, and what a turn does to boxes."""
 
 from __future__ import annotations
 
 import logging
+from collections import deque
+from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 
 import numpy as np
 
-from sightline.detection import look
 from sightline.detection.camera_motion import CameraMotionWatch, CameraTurn
+from sightline.detection.stances import (
+    LOOKS_APART_S,
+    LOOKS_OF_REFERENCE,
+    least_turn_deg,
+    recording_stances,
+)
 from sightline.inference.georeferencer import Georeferencer
+from sightline.inference.turning import Turns
 from sightline.scene import Recording
-from sightline.types import FloatArray, Frame
+from sightline.types import Boxes, FloatArray, Frame
 
-LOOKS_APART_S = 1.0
-"""One picture in so long is looked at."""
-
-_LEAST_DEG = 0.05
-# Phase correlation is sure to a tenth of a pixel.
-_LEAST_PX = 0.8
-_REFERENCE = 5
 _COLUMNS = 33
 
 _logger = logging.getLogger(__name__)
 
 
-class StandingWatch:
+class Standing:
+    """Knows how the camera lay in a recording."""
+
+    def __init__(self, turns: Turns | None) -> None:
+        """Take what is known of it; None: it lay as for the model."""
+        self._turns = turns
+
+    @property
+    def turns(self) -> Turns | None:
+        """How the camera lay; None where it lay as for the model."""
+        return self._turns
+
+    def level(self, batches: Iterable[Boxes]) -> Iterator[Boxes]:
+        """Boxes as the camera of the model would have seen them.
+
+        Args:
+            batches: In the order of time.
+        """
+        for boxes in batches:
+            yield boxes if self.turns is None else self.turns.level(boxes)
+
+
+class StandingWatch(Standing):
     """Looks at some of the pictures that pass, and notes when their camera was turned.
 
     A camera that moves anyway, or whose horizon lies outside the picture, is not watched.
-
-    Attributes:
-        turns: So far, in the order of time.
     """
 
-    def __init__(self, model: Georeferencer, warn_of: str | None = None) -> None:
-        """Take from the model where the horizon lies.
+    def __init__(
+        self, model: Georeferencer, *, warn_of: str | None = None, correct: bool = True
+    ) -> None:
+        """Take from the model where the horizon lies, and what stood still before it.
 
         Args:
             model: Of the camera.
             warn_of: The source, where each turn is to be warned of as it is noticed.
+            correct: Whether boxes are to be levelled.
         """
+        super().__init__(None)
         self._warn_of = warn_of
-        self.turns: list[CameraTurn] = []
+        self._noticed: list[CameraTurn] = []
+        self._model, self._correct = model, correct
         self._size_px = model.image_size_px
         self._watch = _watch(model)
         self._next_s = -np.inf
+        self._known = 0
+
+    @property
+    def noticed(self) -> tuple[CameraTurn, ...]:
+        """The turns so far, in the order of time."""
+        return tuple(self._noticed)
 
     @property
     def able(self) -> bool:
         """Whether anything is looked at."""
         return self._watch is not None
+
+    @property
+    def turns(self) -> Turns | None:
+        """How the camera lay, as far as it is known now, where boxes are to be levelled."""
+        return self._turns if self._correct else None
 
     def look(self, frame: Frame) -> CameraTurn | None:
         """Look at a picture, where the last look was long enough ago; the turn noticed in it."""
@@ -60,21 +96,54 @@ class StandingWatch:
             return None
         self._next_s = frame.time_utc_s + LOOKS_APART_S
         turn = self._watch.update(frame)
+        stances = self._watch.stances
+        if len(stances) != self._known:
+            self._known = len(stances)
+            self._turns = self._model.turns(stances)
+            if turn is None and self._turns is not None:
+                self._warn(self._turns.sentences()[0])
         if turn is not None:
-            self.turns.append(turn)
-            if self._warn_of is not None:
-                _logger.warning("%s: %s", self._warn_of, turn_sentence(turn))
+            self._noticed.append(turn)
+            self._warn(turn_sentence(turn))
         return turn
 
-    def note(self, recording: str) -> str | None:
-        """The turns in a sentence or more; None where there was none.
+    def _warn(self, sentence: str) -> None:
+        if self._warn_of is None:
+            return
+        made_up = self._correct and self._turns is not None
+        after = "Positions are corrected." if made_up else "The model does not hold for it."
+        _logger.warning("%s: %s %s", self._warn_of, sentence, after)
 
-        Args:
-            recording: Its name.
-        """
-        if not self.turns:
-            return None
-        return f"Recording {recording}: {' '.join(map(turn_sentence, self.turns))}"
+    def level(self, batches: Iterable[Boxes]) -> Iterator[Boxes]:
+        """See `Standing`; boxes wait until no turn before them can be told of any more."""
+        if self._watch is None or not self._correct:
+            yield from batches
+            return
+        waiting: deque[Boxes] = deque()
+        for boxes in batches:
+            waiting.append(boxes)
+            while waiting and _last_s(waiting[0]) <= self._watch.settled_utc_s:
+                yield self._levelled(waiting.popleft())
+        for boxes in waiting:
+            yield self._levelled(boxes)
+
+    def _levelled(self, boxes: Boxes) -> Boxes:
+        turns = self.turns
+        return boxes if turns is None else turns.level(boxes)
+
+
+def recording_turns(recording: Recording, model: Georeferencer) -> Turns | None:
+    """How the camera lay in a recording, by its pictures, against how it lies for a model.
+
+    Returns:
+        None where it lay as for the model, or nothing tells.
+
+    Raises:
+        InputError: The pictures cannot be read.
+    """
+    if model.camera is None or model.moving:
+        return None
+    return model.turns(recording_stances(recording))
 
 
 def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
@@ -82,40 +151,53 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
 
     Args:
         recording: With or without pictures.
-        model: Says where the horizon lies.
+        model: Says how its camera lies.
 
     Returns:
-        A sentence, where the camera was turned; None where it was not, or nothing tells.
+        A sentence or more, where the camera was turned in the recording, or lay otherwise than
+        for the model; None where it did not, or nothing tells.
 
     Raises:
         InputError: The pictures cannot be read.
     """
-    watch = StandingWatch(model)
-    if recording.source is None or not watch.able:
+    turns = recording_turns(recording, model)
+    if turns is None:
         return None
-    look(recording.frames(), [watch])
-    return watch.note(recording.name)
+    return f"Recording {recording.name}: {' '.join(turns.sentences())}"
 
 
 def turn_sentence(turn: CameraTurn) -> str:
     """A turn in words."""
     when = datetime.fromtimestamp(turn.time_utc_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    return (
-        f"the camera was turned shortly before {when}: by {turn.heading_deg:+.2f} degrees in "
-        f"heading, {turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll, "
-        f"{turn.shift_px:.1f} px in the picture; a model of the time before does not hold after."
+    heading = (
+        f"{turn.heading_deg:+.2f} degrees in heading"
+        if np.isfinite(turn.heading_deg)
+        else "an unknown angle, since only the horizon is seen, in heading"
     )
+    return (
+        f"the camera was turned shortly before {when}: by {heading}, "
+        f"{turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll, "
+        f"{turn.shift_px:.1f} px in the picture."
+    )
+
+
+def _last_s(boxes: Boxes) -> float:
+    return float(boxes.time_utc_s.max(initial=-np.inf))
 
 
 def _watch(model: Georeferencer) -> CameraMotionWatch | None:
     camera = model.camera
-    if camera is None or model.moving:
+    if camera is None or model.moving or not CameraMotionWatch.fits(model.image_size_px):
         return None
     width, height = model.image_size_px
     rows: FloatArray = camera.horizon_y_px(np.linspace(0.0, width, _COLUMNS))
-    if not (np.isfinite(rows).all() and (rows > 0.0).all() and (rows < height).all()):
+    seen = np.isfinite(rows).all() and (rows > 0.0).all() and (rows < height).all()
+    if model.view is None and not seen:
         return None
-    focal_px = float(camera.focal_px)
-    least_deg = max(_LEAST_DEG, float(np.degrees(_LEAST_PX / focal_px)))
-    watch = CameraMotionWatch(rows, focal_px, least_deg=least_deg, reference_frames=_REFERENCE)
-    return watch if watch.fits(model.image_size_px) else None
+    return CameraMotionWatch(
+        rows if seen else None,
+        float(camera.focal_px),
+        least_deg=least_turn_deg(float(camera.focal_px)),
+        reference_frames=LOOKS_OF_REFERENCE,
+        like=model.view,
+    )

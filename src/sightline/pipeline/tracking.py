@@ -15,6 +15,7 @@ from sightline.detection import Detector, Looker, Progress, detect, frame_count,
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.levelling import HorizonWatch
+from sightline.inference.turning import Turns
 from sightline.pipeline.boxes import (
     fit_for_use,
     follows_on_earth,
@@ -26,14 +27,14 @@ from sightline.pipeline.boxes import (
     refuse_seldom,
     timed,
 )
-from sightline.pipeline.standing import StandingWatch
+from sightline.pipeline.standing import Standing, StandingWatch
 from sightline.platform import Platform, moved_track, north_up
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionState
 from sightline.trajectory.forecast import follow as follow_motion
-from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
+from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Positions, Track
 
 DEFAULT_TRAJECTORY = "rts"
 
@@ -57,6 +58,7 @@ class TrackSettings:
         forecast_s: How far ahead a track is forecast after its last position, where forecasts
             are asked for.
         forecast_interval_s: Time between the points of a forecast.
+        correct_turns: Whether a turn of the camera that its pictures show is made up for.
     """
 
     trajectory: str = DEFAULT_TRAJECTORY
@@ -66,6 +68,7 @@ class TrackSettings:
     longest_s: float = 1800.0
     forecast_s: float = 60.0
     forecast_interval_s: float = 5.0
+    correct_turns: bool = True
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
@@ -175,6 +178,7 @@ def iter_tracks(
             "were seen; give a clock (frame,utc), or time_utc with the boxes"
         )
     watch: HorizonWatch | None = None
+    standing: StandingWatch | None = None
     if isinstance(source, Boxes):
         batches, highest_id = in_hand(source)
     elif table:
@@ -182,7 +186,8 @@ def iter_tracks(
     else:
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = fit_for_use(frames, model, str(source))
-        lookers: list[Looker] = [StandingWatch(model, warn_of=str(source))]
+        standing = StandingWatch(model, warn_of=str(source), correct=settings.correct_turns)
+        lookers: list[Looker] = [standing]
         if model.horizon_px is not None:
             watch = HorizonWatch()
             lookers.append(watch)
@@ -191,8 +196,12 @@ def iter_tracks(
         clock, highest_id = None, NO_TRACK
     where = "" if isinstance(source, Boxes) else f"{source}: "
     with_times = (timed(boxes, clock, model, where) for boxes in batches)
-    level = (model.level(boxes, watch.seen if watch else horizons) for boxes in with_times)
-    yield from follow(level, model, smoother, settings, highest_id, platform, forecasts)
+    level: Iterator[Boxes] = (
+        model.level(boxes, watch.seen if watch else horizons) for boxes in with_times
+    )
+    if standing is not None:
+        level = standing.level(level)
+    yield from follow(level, model, smoother, settings, highest_id, platform, forecasts, standing)
 
 
 def follow(
@@ -203,6 +212,7 @@ def follow(
     highest_id: int = NO_TRACK,
     platform: Platform | None = None,
     forecasts: Callable[[Track], None] | None = None,
+    standing: Standing | None = None,
 ) -> Iterator[Track]:
     """The tracks of boxes, each as soon as its target has gone.
 
@@ -215,6 +225,7 @@ def follow(
             has one, and a tracker gives them.
         platform: What the camera stands on, where that moves.
         forecasts: See `iter_tracks`.
+        standing: Knows by when the camera had been turned; the boxes are levelled.
 
     Raises:
         SeldomError: No target could be followed, since the boxes come too seldom.
@@ -225,6 +236,7 @@ def follow(
     book = _OpenTracks(settings, highest_id)
     count = 0
     for number, boxes in book.ended(batches):
+        turns = standing.turns if standing is not None else None
         made = smooth_boxes(
             boxes,
             model,
@@ -233,11 +245,12 @@ def follow(
             track_id=number,
             shortest_s=settings.shortest_s,
             platform=platform,
+            turns=turns,
         )
         if made is not None:
             count += 1
             if forecasts is not None:
-                forecasts(_forecast(boxes, model, settings, made, platform))
+                forecasts(_forecast(boxes, model, settings, made, platform, turns))
             yield made
     if count == 0:
         refuse_seldom(first_s, "boxes", model)
@@ -253,14 +266,10 @@ def _forecast(
     settings: TrackSettings,
     track: Track,
     platform: Platform | None,
+    turns: Turns | None,
 ) -> Track:
     """The forecast of a track from its last position on."""
-    if platform is None:
-        positions = model.locate(boxes.xyxy_px, boxes.source)
-        state = follow_motion(boxes.time_utc_s, positions, track_id=track.track_id)[-1:]
-    else:
-        # What is measured is relative to a camera that moves; the track is not.
-        state = MotionState.of_track(track)
+    state = states(boxes, model, platform, turns, track_id=track.track_id)[-1:]
     step = min(settings.forecast_interval_s, settings.forecast_s)
     lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
     return state.forecast(lags, track_id=track.track_id, label=track.label)
@@ -369,6 +378,38 @@ def check_platform(model: Georeferencer, platform: Platform | None, where: str =
         )
 
 
+def locate(boxes: Boxes, model: Georeferencer, turns: Turns | None) -> Positions:
+    """Where boxes lie from which the turns of the camera, where there are any, were taken off."""
+    positions = model.locate(boxes.xyxy_px, boxes.source)
+    return positions if turns is None else turns.widened(positions, boxes.time_utc_s)
+
+
+def states(
+    boxes: Boxes,
+    model: Georeferencer,
+    platform: Platform | None,
+    turns: Turns | None,
+    *,
+    track_id: int = 0,
+) -> MotionState:
+    """What was known of one target at each box with a place, by that and those before.
+
+    Before a moving camera the target is followed relative to it, since that is where it is seen
+    from, and each state is then put where the camera was, with the velocity that it had.
+
+    Raises:
+        InputError: No box has a place.
+    """
+    positions = locate(boxes, model, turns)
+    if platform is not None:
+        positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
+    followed = follow_motion(boxes.time_utc_s, positions, track_id=track_id)
+    if platform is None:
+        return followed
+    pose = platform.pose(followed.time_utc_s, model.plane)
+    return followed.moved(pose.en_m, np.nan_to_num(pose.velocity_mps))
+
+
 def smooth_boxes(
     boxes: Boxes,
     model: Georeferencer,
@@ -378,12 +419,13 @@ def smooth_boxes(
     track_id: int,
     shortest_s: float = 0.0,
     platform: Platform | None = None,
+    turns: Turns | None = None,
 ) -> Track | None:
     """The smooth track of one target's boxes; None where they have positions for too short.
 
     Before a moving camera the path relative to it is smoothed, and then put where the camera was.
     """
-    positions = model.locate(boxes.xyxy_px, boxes.source)
+    positions = locate(boxes, model, turns)
     if platform is not None:
         positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
     times = boxes.time_utc_s[positions.known]

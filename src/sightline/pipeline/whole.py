@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sightline.association.teach import fit_scene
-from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections, look
+from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
 from sightline.errors import FitError
 from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
@@ -22,7 +22,7 @@ from sightline.pipeline.boxes import (
     timed,
 )
 from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
-from sightline.pipeline.standing import StandingWatch
+from sightline.pipeline.standing import Standing, camera_turns, recording_turns
 from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.scene import Recording, Scene
 from sightline.tracking import iou
@@ -83,6 +83,7 @@ def run(
         FitError: No model can be learned from the scene.
     """
     settings = settings or TrackSettings()
+    settings = replace(settings, correct_turns=settings.correct_turns and scene.camera.watched)
     tell = progress or (lambda _what, _share: None)
     seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
@@ -106,7 +107,6 @@ def run(
     for recording in scene.recordings:
         tell(f"tracking {recording.name}", float("nan"))
         held = models.get(recording.name, fitted)
-        watch = _watched(recording, fitted, seen)
         try:
             made = track_recording(recording, fitted, seen, settings)
             judged = made if held is fitted else track_recording(recording, held, seen, settings)
@@ -117,7 +117,7 @@ def run(
             if _unseen(recording):
                 detected.append(recording.name)
         tracks[recording.name] = Tracks(tuple(made))
-        turned = watch.note(recording.name)
+        turned = camera_turns(recording, fitted) if scene.camera.watched else None
         if turned is not None:
             notes.append(turned)
         pairs = _against_log(recording, judged, held.log_sigma_m)
@@ -216,9 +216,18 @@ def track_recording(
     where = f"recording {recording.name}"
     platform, horizons = recording.platform(), scene_horizons(recording)
     check_platform(model, platform, f"{where}: ")
+    standing = Standing(recording_turns(recording, model) if settings.correct_turns else None)
     if recording.boxes_path is not None:
-        boxes = model.level(recording.boxes(), horizons)
-        made = smooth_boxes(boxes, model, smoother, settings, track_id=1, platform=platform)
+        (boxes,) = standing.level([model.level(recording.boxes(), horizons)])
+        made = smooth_boxes(
+            boxes,
+            model,
+            smoother,
+            settings,
+            track_id=1,
+            platform=platform,
+            turns=standing.turns,
+        )
         return [] if made is None else [made]
     if recording.detections_path is not None:
         batches, highest_id = in_hand(recording.detections())
@@ -226,23 +235,8 @@ def track_recording(
         refuse_seldom(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
         batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK
     with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    level = (model.level(boxes, horizons) for boxes in with_times)
-    return list(follow(level, model, smoother, settings, highest_id, platform))
-
-
-def _watched(recording: Recording, model: Georeferencer, seen: SceneDetections) -> StandingWatch:
-    """A watch that has seen a recording's pictures, if there are any.
-
-    The model tells where to look. So pictures that the detector has searched for the fit are
-    decoded again; those that it searches afterwards are not.
-    """
-    watch = StandingWatch(model)
-    if watch.able and recording.source is not None:
-        if _unseen(recording):
-            seen.detect(recording, [watch])
-        else:
-            look(recording.frames(), [watch])
-    return watch
+    level = standing.level(model.level(boxes, horizons) for boxes in with_times)
+    return list(follow(level, model, smoother, settings, highest_id, platform, standing=standing))
 
 
 def _against_log(

@@ -2,6 +2,7 @@
 
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import EXACT, BoxNoise, Harbour, ReceiverNoise, Truth
+from sightline.simulation.platform import Knock
 from sightline.simulation.render import Look, Renderer
 from sightline.simulation.simulate import Recording, Simulation, simulate
 
@@ -9,6 +10,7 @@ __all__ = [
     "EXACT",
     "BoxNoise",
     "Harbour",
+    "Knock",
     "Look",
     "ReceiverNoise",
     "Recording",

@@ -29,7 +29,7 @@ from sightline.platform import Platform
 from sightline.simulation.boats import Boat, Shape, dinghy, ferry, motorboat, sailboat
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.paths import Path, rest, steer
-from sightline.simulation.platform import SimulatedPlatform
+from sightline.simulation.platform import Knock, SimulatedPlatform
 from sightline.types import BoolArray, Boxes, Fixes, FloatArray, Headings, IntArray, StrArray
 
 START_UTC_S = 1_717_236_000.0
@@ -209,6 +209,7 @@ class Harbour:
         seed: What it was drawn from; noise is drawn from it too.
         platform: What the camera stands on, where that moves: then the camera is as it lies while
             the hull is level and its bow at ``platform.heading_deg``.
+        knock: When a camera that stands still was turned; then the camera is as it lay before.
     """
 
     camera: SimulatedCamera
@@ -220,6 +221,7 @@ class Harbour:
     duration_s: float = 240.0
     seed: int = 0
     platform: SimulatedPlatform | None = None
+    knock: Knock | None = None
 
     @classmethod
     def random(
@@ -341,7 +343,10 @@ class Harbour:
         """
         times = np.atleast_1d(np.asarray(time_utc_s, dtype=float)) - self.start_utc_s
         if self.platform is None:
-            pixels = self.camera.project(boat.points_enu_m(times))
+            turn = None
+            if self.knock is not None:
+                turn = self.knock.turn(self.camera, times + self.start_utc_s)
+            pixels = self.camera.project(boat.points_enu_m(times), turn)
         else:
             seen = self.platform.seen(boat)
             pixels = self.camera.project(seen.points_enu_m(times), self.platform.turn(times))

@@ -1,4 +1,4 @@
-"""A vessel under way in a swell, with the camera on board."""
+"""A camera that does not stand still: on a vessel under way in a swell, or knocked once."""
 
 from __future__ import annotations
 
@@ -130,6 +130,35 @@ class SimulatedPlatform:
     def seen(self, boat: Boat) -> Boat:
         """A boat whose path is that which the platform sees, north up."""
         return replace(boat, path=_SeenPath.of(boat.path, self))
+
+
+@dataclass(frozen=True)
+class Knock:
+    """A camera that is turned at one moment, and stands as well as before after it.
+
+    Attributes:
+        time_utc_s: When, POSIX seconds.
+        heading_deg: To the right.
+        pitch_deg: Downwards.
+        roll_deg: The right end of the horizon downwards.
+    """
+
+    time_utc_s: float
+    heading_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+
+    def turn(self, camera: SimulatedCamera, time_utc_s: ArrayLike) -> FloatArray:
+        """(N, 3, 3) of a camera, as `SimulatedPlatform.turn`: before the knock the identity."""
+        times = np.atleast_1d(np.asarray(time_utc_s, dtype=float))
+        after = replace(
+            camera,
+            heading_deg=camera.heading_deg + self.heading_deg,
+            pitch_deg=camera.pitch_deg + self.pitch_deg,
+            roll_deg=camera.roll_deg + self.roll_deg,
+        )
+        turned = (times >= self.time_utc_s)[:, None, None]
+        return np.where(turned, camera.rotation.T @ after.rotation, np.eye(3))
 
 
 def _about(axis: FloatArray, angle_rad: FloatArray) -> FloatArray:

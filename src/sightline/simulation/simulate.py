@@ -32,7 +32,7 @@ from sightline.simulation.harbour import (
     Harbour,
     ReceiverNoise,
 )
-from sightline.simulation.platform import Warp
+from sightline.simulation.platform import Knock, Warp
 from sightline.simulation.render import Look, Renderer
 from sightline.simulation.scenery import Image
 from sightline.types import Boxes, Fixes, FloatArray, Frame
@@ -117,6 +117,7 @@ def simulate(
     look: Look | None = None,
     video: bool = True,
     moving: bool = False,
+    knock: Knock | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Simulation:
     """Write a synthetic harbour as somebody with a camera on a dock would have recorded it.
@@ -158,6 +159,7 @@ def simulate(
         look: What is drawn.
         video: Whether to render at all; without, the clock is a table.
         moving: Whether the camera is on a vessel under way in a swell, rather than on a dock.
+        knock: When a camera on a dock was turned, and how.
         progress: Called with the share done, 0 to 1.
 
     Raises:
@@ -193,6 +195,10 @@ def simulate(
         start_utc_s=start_utc_s - lead_s,
         moving=moving,
     )
+    if knock is not None:
+        if moving:
+            raise InputError("a camera on a vessel under way is not knocked as well; leave one out")
+        harbour = replace(harbour, knock=knock)
     rng = np.random.default_rng([seed, 5])
     shot = []
     for i in range(recordings):
@@ -444,6 +450,8 @@ def _write_truth(
         **asdict(harbour.camera),
     }
     facts: dict[str, Any] = {"camera": camera, "boats": boats, "settings": settings}
+    if harbour.knock is not None:
+        facts["knock"] = asdict(harbour.knock)
     if platform is not None:
         facts["platform"] = {
             "heading_deg": platform.heading_deg,
@@ -478,10 +486,19 @@ def _write_videos(
 
 def _painter(harbour: Harbour, look: Look | None) -> Callable[[float], Image]:
     """What paints the picture at a time."""
-    platform = harbour.platform
-    if platform is None:
+    platform, knock = harbour.platform, harbour.knock
+    if platform is None and knock is None:
         return Renderer(harbour, look).image
     warp = Warp(harbour.camera)
+    if platform is None:
+        assert knock is not None, "one of the two"
+        before = Renderer(replace(harbour, camera=warp.still), look)
+
+        def paint_knocked(time_utc_s: float) -> Image:
+            turn = knock.turn(harbour.camera, time_utc_s)[0]
+            return warp.apply(before.image(time_utc_s), turn)
+
+        return paint_knocked
     still = replace(
         harbour,
         camera=warp.still,

@@ -241,6 +241,16 @@ class MotionState:
             motion=motion,
         )
 
+    def moved(self, en_m: FloatArray, velocity_mps: FloatArray) -> MotionState:
+        """States relative to something that moves, on the earth.
+
+        Args:
+            en_m: (N, 2) where that was at the time of each state, metres east and north.
+            velocity_mps: (N, 2) of it, east and north.
+        """
+        own = np.concatenate([en_m, velocity_mps], axis=1)
+        return replace(self, mean=self.mean + own[:, None, :])
+
     def ahead(self, lag_s: float) -> MotionState:
         """All of them the same time later.
 

@@ -71,6 +71,7 @@ def frames(
     *,
     clock: Clock | None = None,
     start_utc_s: float | None = None,
+    apart_s: float = 0.0,
 ) -> Iterator[Frame]:
     """The frames of a source, one at a time, with the UTC time at which each was taken.
 
@@ -86,6 +87,8 @@ def frames(
         source: A path or an address.
         clock: Where it is given, it alone tells the times.
         start_utc_s: POSIX seconds of a video file's first frame.
+        apart_s: Frames that follow the one before them sooner are left out, which costs less than
+            to hand them on. Frames without a time are kept.
 
     Yields:
         Frames in order; only one is held at a time.
@@ -101,15 +104,30 @@ def frames(
                 f"{name}: pictures in a folder have no presentation times, so a start time does "
                 "not tell when they were taken; give a clock (frame,utc)"
             )
-        pictures = _from_folder(Path(name))
-    else:
-        pictures = _from_container(name, start_utc_s)
-    if clock is None:
-        return pictures
-    return (
-        Frame(frame.index, float(clock.time_utc_s(np.array([frame.index]))[0]), frame.image_bgr)
-        for frame in pictures
-    )
+        return _from_folder(Path(name), _Thinned(clock, apart_s))
+    return _from_container(name, start_utc_s, _Thinned(clock, apart_s))
+
+
+class _Thinned:
+    """The time of each frame, and whether it is handed on."""
+
+    def __init__(self, clock: Clock | None, apart_s: float) -> None:
+        self._clock, self._apart_s = clock, apart_s
+        self._next_s = -np.inf
+
+    def time_utc_s(self, index: int, own_s: float = np.nan) -> float:
+        """Of a frame that says ``own_s`` of itself."""
+        if self._clock is None:
+            return own_s
+        return float(self._clock.time_utc_s(np.array([index]))[0])
+
+    def wants(self, when_s: float) -> bool:
+        """Whether the frame of a time is handed on."""
+        if when_s < self._next_s:
+            return False
+        if np.isfinite(when_s):
+            self._next_s = when_s + self._apart_s
+        return True
 
 
 def image_size_px(source: str | os.PathLike[str]) -> tuple[int, int]:
@@ -123,7 +141,7 @@ def image_size_px(source: str | os.PathLike[str]) -> tuple[int, int]:
     raise InputError(f"{source}: holds no frame")
 
 
-def _from_folder(folder: Path) -> Iterator[Frame]:
+def _from_folder(folder: Path, thinned: _Thinned) -> Iterator[Frame]:
     numbered: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in _IMAGE_SUFFIXES:
@@ -140,12 +158,14 @@ def _from_folder(folder: Path) -> Iterator[Frame]:
             raise InputError(f"{folder}: {other.name} and {path.name} are both frame {number[1]}")
     if not numbered:
         raise InputError(f"{folder}: holds no picture; expected FRAME.jpg or FRAME.png")
-    return _pictures(numbered)
+    return _pictures(numbered, thinned)
 
 
-def _pictures(numbered: dict[int, Path]) -> Iterator[Frame]:
+def _pictures(numbered: dict[int, Path], thinned: _Thinned) -> Iterator[Frame]:
     for index in sorted(numbered):
-        yield Frame(index, np.nan, _picture(numbered[index]))
+        when_s = thinned.time_utc_s(index)
+        if thinned.wants(when_s):
+            yield Frame(index, when_s, _picture(numbered[index]))
 
 
 def _picture(path: Path) -> NDArray[np.uint8]:
@@ -158,7 +178,7 @@ def _picture(path: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.asarray(upright)[..., ::-1])
 
 
-def _from_container(name: str, start_utc_s: float | None) -> Iterator[Frame]:
+def _from_container(name: str, start_utc_s: float | None, thinned: _Thinned) -> Iterator[Frame]:
     """Decode a file or a stream; opened at once, so that a bad name is told before the loop."""
     container = _open(name)
     try:
@@ -166,11 +186,14 @@ def _from_container(name: str, start_utc_s: float | None) -> Iterator[Frame]:
     except InputError:
         container.close()
         raise
-    return _decoded(container, name, start_utc_s)
+    return _decoded(container, name, start_utc_s, thinned)
 
 
 def _decoded(
-    container: av.container.InputContainer, name: str, start_utc_s: float | None
+    container: av.container.InputContainer,
+    name: str,
+    start_utc_s: float | None,
+    thinned: _Thinned,
 ) -> Iterator[Frame]:
     with container:
         stream = _stream(container, name)
@@ -190,8 +213,10 @@ def _decoded(
                     else:
                         first_s = picture.time if first_s is None else first_s
                         when_s = start_s + (picture.time - first_s)
-                    image = picture.to_ndarray(format="bgr24")
-                    yield Frame(index, when_s, _upright(image, picture.rotation))
+                    when_s = thinned.time_utc_s(index, when_s)
+                    if thinned.wants(when_s):
+                        image = picture.to_ndarray(format="bgr24")
+                        yield Frame(index, when_s, _upright(image, picture.rotation))
                     index += 1
         except av.FFmpegError as error:
             raise _broken(name, index, error.strerror) from error
