@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -252,6 +253,22 @@ def test_a_fit_takes_the_turn_of_a_recording_off_its_boxes(world: World) -> None
         return fitted.report.rmse_m
 
     assert residual_m(True) < 0.5 * residual_m(False)
+
+
+def test_a_fit_to_drawn_boxes_does_without_a_video_that_cannot_be_read(
+    world: World, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = Path(shutil.copytree(world.scene.path.parent, tmp_path / "harbour"))
+    video = folder / "01.mp4"
+    video.write_bytes(video.read_bytes()[:5000])
+    fitted = sightline.fit(Scene.load(folder / "scene.toml").select(["01"]), "camera")
+    assert fitted.view is None
+    np.testing.assert_allclose(
+        fitted.regressor.fit_.vector, world.model.regressor.fit_.vector, rtol=1e-6
+    )
+    (warning,) = caplog.messages
+    assert warning.startswith("nobody can tell whether the camera was turned: ")
+    assert "\n" not in warning
 
 
 def test_a_model_remembers_what_stands_still(world: World, tmp_path: Path) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from sightline.detection.camera_motion import CameraMotionWatch, Stance
+from sightline.errors import InputError
 from sightline.scene import Recording
 from sightline.types import Frame
+
+_logger = logging.getLogger(__name__)
 
 LOOKS_APART_S = 1.0
 """One picture in so long is looked at."""
@@ -70,15 +75,18 @@ _remembered: dict[tuple[Recording, int], tuple[Stance, ...]] = {}
 def recording_stances(recording: Recording) -> tuple[Stance, ...]:
     """How the camera stood in a recording, by its pictures; none where there are no pictures.
 
-    Raises:
-        InputError: The pictures cannot be read.
+    Where they cannot be read, a warning says so: boxes that somebody drew do without them.
     """
     if recording.source is None or recording.platform_path is not None:
         return ()
     if not stances_known(recording):
         watch = StanceWatch()
-        for frame in recording.frames(apart_s=LOOKS_APART_S):
-            watch.look(frame)
+        try:
+            for frame in recording.frames(apart_s=LOOKS_APART_S):
+                watch.look(frame)
+        except InputError as error:
+            _logger.warning("nobody can tell whether the camera was turned: %s", error)
+            watch = StanceWatch()
         remember_stances(recording, watch.stances)
     return _remembered[_key(recording)]
 

@@ -280,11 +280,7 @@ def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatA
 
 
 def scene_stances(scene: Scene) -> dict[str, tuple[Stance, ...]]:
-    """`recording_stances` of all recordings of a scene in which it is asked for.
-
-    Raises:
-        InputError: Pictures cannot be read.
-    """
+    """`recording_stances` of all recordings of a scene in which it is asked for."""
     if scene.moves or not scene.camera.watched:
         return {}
     found = {recording.name: recording_stances(recording) for recording in scene.recordings}

@@ -137,9 +137,6 @@ def recording_turns(recording: Recording, model: Georeferencer) -> Turns | None:
 
     Returns:
         None where it lay as for the model, or nothing tells.
-
-    Raises:
-        InputError: The pictures cannot be read.
     """
     if model.camera is None or model.moving:
         return None
@@ -156,9 +153,6 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
     Returns:
         A sentence or more, where the camera was turned in the recording, or lay otherwise than
         for the model; None where it did not, or nothing tells.
-
-    Raises:
-        InputError: The pictures cannot be read.
     """
     turns = recording_turns(recording, model)
     if turns is None:
