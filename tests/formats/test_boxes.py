@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from sightline.errors import InputError
 from sightline.formats import iter_boxes, read_boxes, write_boxes
+from sightline.formats.labels import Labels, read_labels, write_labels
 from sightline.types import NO_FRAME, NO_TRACK, Boxes
 
 pixel = st.floats(-5000.0, 5000.0)
@@ -210,6 +211,7 @@ HEAD = "frame,x1,y1,x2,y2\n"
         ),
         ("a.csv", HEAD + "0.5,0,0,1,1\n", r"line 2: 0\.5 is no whole number"),
         ("a.csv", HEAD + "-1,0,0,1,1\n", "line 2: -1 is no frame; frames count from 0"),
+        ("a.csv", HEAD[:-1] + ",target\n0,0,0,1,1,2\n", "line 2: 2 is no target; give 1 or 0"),
         ("a.csv", HEAD[:-1] + ",confidence\n0,0,0,1,1,1.5\n", "1.5 is no confidence"),
         ("a.csv", "time_utc,x1,y1,x2,y2\n,0,0,1,1\n", "is no time"),
         ("a.csv", HEAD + "0,0,0,1,1,7\n", "more cells than its header has names"),
@@ -232,10 +234,44 @@ def test_refused_boxes(tmp_path: Path, name: str, content: str, message: str) ->
     assert "\n" not in str(caught.value)
 
 
+def test_boxes_of_other_boats_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(HEAD[:-1] + ",target\n0,0,0,1,1,1\n0,5,5,6,6,0\n1,2,2,3,3,\n")
+    boxes = read_boxes(path)
+    assert boxes.frame.tolist() == [0, 1]
+    np.testing.assert_allclose(boxes.xyxy_px, [[0, 0, 1, 1], [2, 2, 3, 3]])
+
+
+def test_labels_survive_csv(tmp_path: Path) -> None:
+    boxes = Boxes.of(
+        [[0, 0, 1.25, 1], [4, 4, 9, 8]],
+        frame=[7, 3],
+        confidence=[0.5, 1.0],
+        source="log",
+        label="boat",
+    )
+    labels = Labels(boxes, np.array([True, False]), np.array([5]))
+    path = tmp_path / "a.csv"
+    write_labels(labels, path)
+    read = read_labels(path)
+    order = np.argsort(boxes.frame)
+    np.testing.assert_array_equal(read.boxes.frame, boxes.frame[order])
+    np.testing.assert_allclose(read.boxes.xyxy_px, boxes.xyxy_px[order])
+    np.testing.assert_allclose(read.boxes.confidence, boxes.confidence[order])
+    np.testing.assert_array_equal(read.boxes.source, boxes.source[order])
+    np.testing.assert_array_equal(read.target, labels.target[order])
+    assert read.empty_frames.tolist() == [5]
+    # All of the target: a table for a scene as well.
+    write_labels(Labels.of_target(boxes), path)
+    np.testing.assert_array_equal(read_boxes(path).frame, boxes.frame)
+
+
 def test_boxes_that_cannot_be_written(tmp_path: Path) -> None:
     boxes = Boxes.of([[0, 0, 1, 1], [0, 0, 1, 1]], frame=[0, NO_FRAME])
     with pytest.raises(InputError, match="every box needs a frame, or every box a time"):
         write_boxes(boxes, tmp_path / "a.csv")
     with pytest.raises(InputError, match="needs the frame of every box"):
         write_boxes(boxes, tmp_path / "a.txt")
+    with pytest.raises(InputError, match="every box needs a frame to be written as a label"):
+        write_labels(Labels.of_target(boxes), tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []

@@ -12,6 +12,7 @@ import pytest
 from sightline import Boxes, Georeferencer, InputError, Scene, fit
 from sightline.cli import main
 from sightline.formats import read_boxes
+from sightline.formats.labels import read_labels
 from sightline.labelling import Proposals, TargetSize, expect, learn_size, propose
 from sightline.labelling.expected import place_of
 from sightline.labelling.snapping import Background, Belief, Look, snap
@@ -82,6 +83,36 @@ def test_frames_without_a_box_say_why(proposals: Proposals) -> None:
     assert (proposals.reason[without] != "").all()
     assert (proposals.reason[proposals.made] == "").all()
     assert (proposals.confidence[without] == 0.0).all()
+
+
+def test_less_sure_boxes_go_as_asked(proposals: Proposals) -> None:
+    sure = proposals.surer_than(0.5)
+    kept = proposals.confidence >= 0.5
+    assert 0 < kept.sum() < proposals.made.sum()
+    np.testing.assert_array_equal(sure.made, kept)
+    np.testing.assert_array_equal(sure.boxes().xyxy_px, proposals.xyxy_px[kept])
+    assert (sure.reason[proposals.made & ~kept] == "less sure than was asked for").all()
+    np.testing.assert_array_equal(sure.reason[~proposals.made], proposals.reason[~proposals.made])
+
+
+def test_a_table_of_proposals_names_the_logged_boat_alone(
+    harbour: Path, scene: Scene, model: Georeferencer, tmp_path: Path
+) -> None:
+    model.save(tmp_path / "camera.safetensors")
+    out = tmp_path / "labels"
+    with pytest.raises(SystemExit) as stopped:
+        main(
+            [
+                *("detector", "label", str(scene.path), "-o", str(out), "--recordings", "02"),
+                *("--model", str(tmp_path / "camera.safetensors"), "--least-confidence", "0.5"),
+            ]
+        )
+    assert stopped.value.code == 0
+    labels = read_labels(out / "02.csv")
+    assert labels.target.all()
+    assert labels.boxes.confidence.min() >= 0.5
+    # And a scene may have it for its boxes.
+    np.testing.assert_array_equal(read_boxes(out / "02.csv").frame, labels.boxes.frame)
 
 
 def test_frames_are_left_out_as_asked(scene: Scene, model: Georeferencer) -> None:

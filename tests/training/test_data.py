@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
+from sightline.formats.labels import Labels as KnownLabels
+from sightline.formats.labels import write_labels
 from sightline.scene import Scene
 from sightline.training.data import (
     Labels,
@@ -20,6 +22,7 @@ from sightline.training.data import (
     synthetic_pictures,
     vanishing_row_px,
 )
+from sightline.types import Boxes
 
 ONE_CLASS = Labels(class_names=("boat",))
 
@@ -87,6 +90,22 @@ def test_a_table_of_the_target_alone_leaves_the_rest_open(scene: Scene, tmp_path
     # Of a frame without the target, and nothing else known, there is nothing to learn.
     assert [picture.frame for picture in pictures] == [0, 2, 3, 4, 5]
     assert pictures[0].ignore.tolist() == [False, True, True, True]
+
+
+def test_proposed_boxes_join_the_scenes_own_and_leave_the_rest_open(
+    scene: Scene, tmp_path: Path
+) -> None:
+    proposals = Boxes.of([[10.0, 20.0, 30.0, 30.0]], frame=[0], source="log", label="boat")
+    folder = tmp_path / "proposed"
+    folder.mkdir()
+    write_labels(KnownLabels.of_target(proposals), folder / "a.csv")
+    alone = scene_pictures(scene, ["a"], ONE_CLASS)
+    both = scene_pictures(scene, ["a"], Labels(("boat",), (folder,), margins={"log": Margin(1.0)}))
+    assert [one.frame for one in both] == [one.frame for one in alone]
+    np.testing.assert_allclose(both[0].boxes_xyxy_px[~both[0].ignore], [[9, 19, 31, 31]])
+    # Other boats of the frame are not known, so what is around is neither boat nor water.
+    assert both[0].ignore.tolist() == [False, True, True, True]
+    assert [one.digest for one in both[1:]] == [one.digest for one in alone[1:]]
 
 
 def test_other_boats_are_worth_less_if_asked(scene: Scene, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes, FloatArray
 _logger = logging.getLogger(__name__)
 
 _CORNERS = ("x1", "y1", "x2", "y2")
-_OPTIONAL = ("frame", "time_utc", "confidence", "annotator", "track_id", "label")
+_OPTIONAL = ("frame", "time_utc", "confidence", "annotator", "track_id", "label", "target")
 
 
 def iter_boxes_csv(
@@ -31,7 +31,8 @@ def iter_boxes_csv(
 
     Columns: ``x1,y1,x2,y2`` in pixels; ``frame`` or ``time_utc`` or both; and optionally
     ``confidence`` (0 to 1; 1 where absent), ``annotator`` (who made the box, its source),
-    ``track_id`` and ``label``. Several boxes in a frame, even the same twice, are kept.
+    ``track_id``, ``label`` and ``target``; rows whose ``target`` is 0 are of another boat than the
+    logged one, and are left out. Several boxes in a frame, even the same twice, are kept.
 
     Args:
         path: The file.
@@ -57,7 +58,20 @@ def iter_boxes_csv(
             raise InputError(
                 f"{path}: lacks the column frame (or time_utc); found {', '.join(rows.columns)}"
             )
+        if "target" in rows:
+            rows = rows[targets(path, rows)]
         yield boxes_of_rows(path, rows, source, skip_empty)
+
+
+def targets(path: str | os.PathLike[str], rows: pd.DataFrame) -> BoolArray:
+    """(N,) bool, which rows of a table with the column ``target`` are of what is looked for.
+
+    Raises:
+        InputError: A cell is neither 0 nor 1 nor empty; an empty one is 1.
+    """
+    flag = _files.whole_numbers(path, rows["target"].fillna(1))
+    _files.refuse(path, rows.index, ~np.isin(flag, (0, 1)), flag, "is no target; give 1 or 0")
+    return np.asarray(flag == 1)
 
 
 def boxes_of_rows(
@@ -131,6 +145,17 @@ def write_boxes_csv(boxes: Boxes, path: str | os.PathLike[str]) -> None:
     Raises:
         InputError: The file cannot be written, or neither all frames nor all times are known.
     """
+    columns = columns_of(boxes, path)
+    with atomic_path(path) as temporary:
+        pd.DataFrame(columns).to_csv(temporary, index=False)
+
+
+def columns_of(boxes: Boxes, path: str | os.PathLike[str]) -> dict[str, object]:
+    """The columns that `write_boxes_csv` writes to a file.
+
+    Raises:
+        InputError: Neither all frames nor all times are known.
+    """
     columns: dict[str, object] = {}
     framed, timed = boxes.frame != NO_FRAME, np.isfinite(boxes.time_utc_s)
     if not framed.all() and not timed.all():
@@ -149,8 +174,7 @@ def write_boxes_csv(boxes: Boxes, path: str | os.PathLike[str]) -> None:
         columns["track_id"] = boxes.track_id
     if (boxes.label != "").any():
         columns["label"] = boxes.label
-    with atomic_path(path) as temporary:
-        pd.DataFrame(columns).to_csv(temporary, index=False)
+    return columns
 
 
 @contextmanager

@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.boxes_csv import boxes_of_rows
-from sightline.types import BoolArray, Boxes, FloatArray, IntArray
+from sightline.formats.atomic import atomic_path
+from sightline.formats.boxes_csv import boxes_of_rows, columns_of, targets
+from sightline.types import NO_FRAME, BoolArray, Boxes, FloatArray, IntArray
 
 EMPTY_TABLE = "empty.csv"
 """In a folder of labels: ``recording,frame``, the frames that are known to hold none."""
@@ -60,6 +62,11 @@ class Labels:
     target: BoolArray
     empty_frames: IntArray
 
+    @classmethod
+    def of_target(cls, boxes: Boxes) -> Labels:
+        """Boxes all of which are of what is looked for."""
+        return cls(boxes, np.ones(len(boxes), dtype=bool), np.empty(0, dtype=np.int64))
+
     @property
     def frames(self) -> IntArray:
         """(M,) int64, in order: all frames of which something is known."""
@@ -100,13 +107,27 @@ def read_labels(path: str | os.PathLike[str], *, may_be_empty: bool = False) -> 
     empty = rows[_CORNERS].isna().all(axis=1)
     drawn = rows[~empty]
     frames = _files.whole_numbers(path, rows["frame"][empty])
-    target = np.ones(len(drawn), dtype=bool)
-    if "target" in drawn:
-        flag = _files.whole_numbers(path, drawn["target"].fillna(1))
-        _files.refuse(path, drawn.index, ~np.isin(flag, (0, 1)), flag, "is no target; give 1 or 0")
-        target = flag == 1
+    target = targets(path, drawn) if "target" in drawn else np.ones(len(drawn), dtype=bool)
     boxes = boxes_of_rows(path, drawn.drop(columns="target", errors="ignore"))
     return Labels(boxes, target, np.unique(frames))
+
+
+def write_labels(labels: Labels, path: str | os.PathLike[str]) -> None:
+    """Write a table that `read_labels` reads: boxes with their ``target``, and the empty frames.
+
+    Raises:
+        InputError: The file cannot be written, or a box has no frame.
+    """
+    boxes = labels.boxes
+    if (boxes.frame == NO_FRAME).any():
+        raise InputError(f"{path}: every box needs a frame to be written as a label")
+    rows = pd.DataFrame({**columns_of(boxes, path), "target": labels.target.astype(int)})
+    empty = pd.DataFrame({"frame": labels.empty_frames})
+    if len(empty):
+        rows = pd.concat([rows, empty]).sort_values("frame", kind="stable")
+        rows["target"] = rows["target"].astype("Int64")
+    with atomic_path(path) as temporary:
+        rows.to_csv(temporary, index=False)
 
 
 def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels | None:

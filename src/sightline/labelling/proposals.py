@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ IN_GAP = "the log has a gap"
 OUTSIDE = "outside the picture"
 TOO_SMALL = "too far to be seen"
 NOTHING = "nothing stands out there"
+UNSURE = "less sure than was asked for"
 OTHER = "what stands out there is not of its size"
 
 
@@ -65,6 +66,19 @@ class Proposals:
     def made(self) -> BoolArray:
         """(N,) bool, True where there is a box."""
         return np.asarray(np.isfinite(self.xyxy_px[:, 0]))
+
+    def surer_than(self, confidence: float) -> Proposals:
+        """Without the boxes that have less confidence than this, 0 to 1."""
+        out = self.made & (self.confidence < confidence)
+        return replace(
+            self,
+            xyxy_px=np.where(out[:, None], np.nan, self.xyxy_px),
+            confidence=np.where(out, 0.0, self.confidence),
+            reason=np.array(
+                [UNSURE if bad else why for bad, why in zip(out, self.reason, strict=True)],
+                dtype=np.str_,
+            ),
+        )
 
     def boxes(self, label: str = DEFAULT_LABEL) -> Boxes:
         """The proposed boxes, by the annotator ``"log"``."""

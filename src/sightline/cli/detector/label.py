@@ -14,8 +14,8 @@ from sightline.cli.common import write_result as write_json_result
 from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
 from sightline.cli.parsing import parse_names
 from sightline.errors import InputError
-from sightline.formats import write_boxes
 from sightline.formats.atomic import atomic_path
+from sightline.formats.labels import Labels, write_labels
 from sightline.inference.model_file import load_model
 from sightline.labelling import DEFAULT_LABEL, Proposals, contact_sheets, learn_size, propose
 from sightline.scene import Recording, Scene
@@ -42,6 +42,10 @@ def label(
     all_frames: Annotated[
         bool, typer.Option("--all", help="Also frames in which boxes were drawn.")
     ] = False,
+    least_confidence: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, help="Boxes that are less sure are not proposed."),
+    ] = 0.0,
     name: Annotated[str, typer.Option("--label", help="The class of the boxes.")] = DEFAULT_LABEL,
     json: JsonOption = None,
 ) -> None:
@@ -64,9 +68,11 @@ def label(
             tell(f"labelling {recording.name}", i / len(usable))
             drawn = None if all_frames else _drawn(recording)
             proposals = propose(recording, fitted, size, every_s=every_s, leave_out=drawn)
+            proposals = proposals.surer_than(least_confidence)
             made.append(proposals)
             if proposals.made.any():
-                write_boxes(proposals.boxes(name), folder / f"{recording.name}.csv")
+                labels = Labels.of_target(proposals.boxes(name))
+                write_labels(labels, folder / f"{recording.name}.csv")
             pages += contact_sheets(proposals, recording, folder / "sheets")
         _write_frames(made, folder / "frames.csv")
         results = {one.recording: _summary(one) for one in made}
