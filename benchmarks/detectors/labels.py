@@ -2,9 +2,11 @@
 
     python benchmarks/detectors/labels.py -o DIR [--arms hand,same --seeds 0,1]
 
-The same network from random weights, the same number of batches; only the boxes differ. What a
-training of the folder has done already is not done again. Needs the extra ``train``; results are
-kept in ``DIR/results.json`` and printed.
+What it came to stands in ``LABELS.md``.
+
+The same network from random weights, the same number of batches; only the boxes differ. Trainings
+that the folder has results of are not done again. Needs the extra ``train``; results are kept in
+``DIR/results.json`` and printed.
 """
 
 from __future__ import annotations
@@ -194,10 +196,10 @@ def main() -> None:
                 temporary.write_text(json.dumps(results, indent=1) + "\n")
             print(arm, seed, json.dumps(rows[seed]), flush=True)
     print(
-        "| boxes of the training | pictures | seeds | eye: mAP @ 0.5 | recall "
-        "| voc: mAP @ 0.5 | recall |"
+        "| boxes of the training | frames | seeds | by eye: mAP @ 0.5 | .5:.95 | recall "
+        "| voc: mAP @ 0.5 | .5:.95 | recall |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|")
     for arm, rows in results["arms"].items():
         if not rows:
             continue
@@ -208,7 +210,7 @@ def main() -> None:
             *(
                 _spread(row[what][key] for row in rows.values())
                 for what in ("eye", "voc")
-                for key in ("map_50", "recall_30")
+                for key in ("map_50", "map_50_95", "recall_30")
             ),
         ]
         print("| " + " | ".join(parts) + " |")
@@ -217,7 +219,7 @@ def main() -> None:
 def _spread(values: Iterable[float]) -> str:
     """The mean, and the least and the largest."""
     known = list(values)
-    return f"{statistics.mean(known):.3f} ({min(known):.3f} to {max(known):.3f})"
+    return f"{statistics.mean(known):.2f} ({min(known):.2f} to {max(known):.2f})"
 
 
 if __name__ == "__main__":
