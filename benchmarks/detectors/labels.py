@@ -33,9 +33,10 @@ from sightline.evaluation.detection import (
 )
 from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels as Known
-from sightline.formats.labels import Margin, write_labels
+from sightline.formats.labels import Margin, read_label_folder, write_labels
 from sightline.labelling import learn_size, propose
 from sightline.scene import Scene
+from sightline.tracking import iou
 from sightline.training.data import Labels
 from sightline.training.loop import TrainingSettings
 from sightline.training.recipe import Recipe, train_detector
@@ -72,9 +73,13 @@ ARMS = {
 TABLES = {"same": "same", "same-sure": "sure", "more-sure": "sure", "few-sure": "few-sure"}
 
 
-def proposed(scene: Scene, folder: Path) -> dict[str, dict[str, int]]:
-    """Tables of proposed boxes, in the folders ``same``, ``sure`` and ``few-sure``."""
-    counts: dict[str, dict[str, int]] = {}
+def proposed(scene: Scene, folder: Path) -> dict[str, dict[str, tuple[int, int]]]:
+    """Tables of proposed boxes, in the folders ``same``, ``sure`` and ``few-sure``.
+
+    Returns:
+        How many there are by folder and recording, and how many of them are right.
+    """
+    counts: dict[str, dict[str, tuple[int, int]]] = {}
     few = _drawn_in_few_alone(scene)
     for known, kinds in (
         (scene.without(TEST), {"same": 0.0, "sure": SURE}),
@@ -88,11 +93,23 @@ def proposed(scene: Scene, folder: Path) -> dict[str, dict[str, int]]:
             drawn = recording.boxes().frame if recording.boxes_path is not None else np.empty(0)
             for kind, least in kinds.items():
                 rows = ~np.isin(boxes.frame, drawn) & (boxes.confidence >= least)
-                counts.setdefault(kind, {})[name] = int(rows.sum())
+                counts.setdefault(kind, {})[name] = int(rows.sum()), _right(boxes[rows], name)
                 if rows.any():
                     (folder / kind).mkdir(parents=True, exist_ok=True)
                     write_labels(Known.of_target(boxes[rows]), folder / kind / f"{name}.csv")
     return counts
+
+
+def _right(boxes: Boxes, name: str) -> int:
+    """How many overlap the box drawn by eye in their frame by a half, both with their margin."""
+    drawn = read_label_folder(DRAWN, name)
+    assert drawn is not None
+    right = 0
+    for frame, box in zip(boxes.frame, boxes.xyxy_px, strict=True):
+        truth = drawn.boxes.xyxy_px[drawn.target & (drawn.boxes.frame == frame)]
+        overlap = iou(MARGINS["log"].widened(box)[None], MARGINS["sightline"].widened(truth))
+        right += bool((overlap >= 0.5).any())
+    return right
 
 
 def _drawn_in_few_alone(scene: Scene) -> Scene:
@@ -175,8 +192,9 @@ def main() -> None:
     results = json.loads(path.read_text()) if path.exists() else {"steps": given.steps, "arms": {}}
     if "proposed" not in results:
         results["proposed"] = proposed(scene, given.output / "proposals")
+        print(json.dumps(results["proposed"]), flush=True)
     for seed in given.seeds.split(","):
-        for arm in given.arms.split(","):
+        for arm in filter(None, given.arms.split(",")):
             rows = results["arms"].setdefault(arm, {})
             if seed in rows:
                 continue
