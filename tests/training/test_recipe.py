@@ -101,6 +101,7 @@ def test_a_finished_run_is_not_done_again(scene: Scene, tmp_path: Path) -> None:
         ({"device": "abacus"}, "not to be had here"),
         ({"synthetic": -1}, "cannot be rendered"),
         ({"labels": [Path("nowhere")]}, "nowhere: is no folder"),
+        ({"labels": [Path(__file__).parent]}, "has no table of boxes of any recording in hand"),
         ({"initial": Path("none.safetensors")}, "there is no such file"),
     ],
 )

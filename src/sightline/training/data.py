@@ -189,6 +189,21 @@ def scene_pictures(
     return pictures
 
 
+def check_folders(labels: Labels, names: Sequence[str]) -> None:
+    """Refuse a folder of tables in which there is none of the recordings in hand.
+
+    Raises:
+        InputError: There is such a folder, or it is none.
+    """
+    for folder in labels.folders:
+        inner = _inner(folder)
+        if names and not any((inner / f"{name}.csv").exists() for name in names):
+            raise InputError(
+                f"{inner}: has no table of boxes of any recording in hand ({', '.join(names)}); "
+                f"expected some as {names[0]}.csv"
+            )
+
+
 def check_split(train: Sequence[Picture], names: Sequence[str], what: str) -> None:
     """Refuse a part of a split in which nothing is to be found.
 
@@ -234,18 +249,19 @@ def _tables(recording: Recording, labels: Labels) -> tuple[list[_Table], set[int
     tables: list[_Table] = []
     empty: set[int] = set()
     for folder in labels.folders:
-        if not folder.is_dir():
-            raise InputError(
-                f"{folder}: is no folder; expected one with tables of boxes, as 07.csv"
-            )
-        # The tables may lie in a folder of their own, beside the list of empty frames.
-        inner = folder / "boxes" if (folder / "boxes").is_dir() else folder
-        path = inner / f"{recording.name}.csv"
+        path = _inner(folder) / f"{recording.name}.csv"
         without = _empty_frames(folder / _EMPTY_TABLE, recording.name)
         if path.exists():
             tables.append(_table(path, may_be_empty=bool(without)))
         empty |= without
     return tables, empty
+
+
+def _inner(folder: Path) -> Path:
+    """Where a folder has its tables: it may be a folder of their own, beside the empty frames."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; expected one with tables of boxes, as 07.csv")
+    return folder / "boxes" if (folder / "boxes").is_dir() else folder
 
 
 def _table(path: Path, may_be_empty: bool) -> _Table:

@@ -18,6 +18,7 @@ from sightline.training.augmentation import Augmentation, Batches
 from sightline.training.data import (
     Labels,
     backgrounds,
+    check_folders,
     check_split,
     digest,
     scene_pictures,
@@ -128,6 +129,7 @@ def train_detector(
         load_weights(recipe.initial, trainable)
     stride = trainable.stride
     size = tuple(stride * math.ceil(side / stride) for side in recipe.size_px)
+    check_folders(recipe.labels, (*recipe.train, *recipe.validation))
     tell("reading pictures", 0.0)
     train_pictures = scene_pictures(
         scene, recipe.train, recipe.labels, progress=lambda share: tell("reading pictures", share)
