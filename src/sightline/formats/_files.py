@@ -91,7 +91,8 @@ def table(
             skipinitialspace=True,
             skip_blank_lines=False,
             encoding="utf-8-sig",
-            dtype=dict.fromkeys(text, str),
+            # As it stands: somebody may be called "nan" or "NA".
+            converters=dict.fromkeys(text, str),
             low_memory=False,
         )
         with reader:
