@@ -275,3 +275,16 @@ def test_boxes_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="every box needs a frame to be written as a label"):
         write_labels(Labels.of_target(boxes), tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_name_is_nobodys_and_nan_is_a_name(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.csv"
+    path.write_text("frame,x1,y1,x2,y2,annotator\n1,0,0,9,9,\n2,0,0,9,9,nan\n3,0,0,9,9,NA\n")
+    read = read_boxes(path, source="somebody")
+    assert read.source.tolist() == ["somebody", "nan", "NA"]
+
+
+def test_blank_lines_of_a_table_with_names_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.csv"
+    path.write_text("frame,x1,y1,x2,y2,annotator\n1,0,0,9,9,me\n\n2,0,0,9,9,me\n")
+    assert read_boxes(path).frame.tolist() == [1, 2]

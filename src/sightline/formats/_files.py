@@ -16,6 +16,11 @@ from sightline.errors import InputError
 from sightline.types import BoolArray, Fixes, FloatArray, from_datetime64
 
 _SNIFFED_BYTES = 65536
+# What pandas takes for an empty cell of a column of numbers.
+_MISSING = (
+    *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
+    *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
+)
 _NO_INT64 = 2.0**63
 # What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
 _FIRST_TIME, _LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
@@ -85,15 +90,22 @@ def table(
     """
     beginning(path)
     try:
+        form: dict[str, Any] = {
+            "skipinitialspace": True,
+            "skip_blank_lines": False,
+            "encoding": "utf-8-sig",
+        }
+        header = pd.read_csv(existing(path), nrows=0, **form).columns
+        # As it stands: somebody may be called "nan" or "NA".
+        spoken = [name for name in header if str(name).strip() in text]
         reader = pd.read_csv(
-            existing(path),
+            path,
             chunksize=chunk_rows or 2**62,
-            skipinitialspace=True,
-            skip_blank_lines=False,
-            encoding="utf-8-sig",
-            # As it stands: somebody may be called "nan" or "NA".
-            converters=dict.fromkeys(text, str),
+            dtype=dict.fromkeys(spoken, str),
+            keep_default_na=False,
+            na_values={name: [""] if name in spoken else list(_MISSING) for name in header},
             low_memory=False,
+            **form,
         )
         with reader:
             for chunk in reader:
