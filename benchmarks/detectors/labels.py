@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import statistics
 from collections.abc import Iterable
 from dataclasses import replace
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from measure import DATA, DRAWN, TEST
 
 from sightline import fit
 from sightline.detection import DetectorOptions, OnnxDetector
@@ -42,10 +42,6 @@ from sightline.training.loop import TrainingSettings
 from sightline.training.recipe import Recipe, train_detector
 from sightline.types import Boxes
 
-HERE = Path(__file__).resolve().parent
-DATA = Path(os.environ.get("SIGHTLINE_DATA", HERE.parents[1] / ".." / "shared" / "data"))
-DRAWN = HERE.parent / "tracks-at-sea"
-TEST = ("08", "13", "17", "21")
 TRAIN = ("06", "07", "09", "15", "18")
 MORE = ("10", "11")
 """Recordings with a log, and two frames with a box that somebody drew."""

@@ -143,15 +143,13 @@ def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels 
     """
     if not Path(folder).is_dir():
         raise InputError(f"{folder}: there is no such folder of labels")
-    # The tables may lie in a folder of their own, beside the list of empty frames.
-    inner = Path(folder) / TABLES_FOLDER
-    tables = inner if inner.is_dir() else Path(folder)
+    tables = tables_folder(folder)
     table = tables / f"{recording}.csv"
     several = [tables / EMPTY_TABLE, tables.resolve().parent / EMPTY_TABLE]
     empty = np.empty(0, dtype=np.int64)
     for path in several:
         if path.is_file():
-            empty = _empty_frames(path, recording)
+            empty = empty_frames(path, recording)
             break
     if not table.is_file():
         if not empty.size:
@@ -162,7 +160,18 @@ def read_label_folder(folder: str | os.PathLike[str], recording: str) -> Labels 
     return Labels(labels.boxes, labels.target, np.union1d(labels.empty_frames, empty))
 
 
-def _empty_frames(path: Path, recording: str) -> IntArray:
+def tables_folder(folder: str | os.PathLike[str]) -> Path:
+    """Where a folder of labels has its tables: in one of their own, or beside the empty frames."""
+    inner = Path(folder) / TABLES_FOLDER
+    return inner if inner.is_dir() else Path(folder)
+
+
+def empty_frames(path: str | os.PathLike[str], recording: str) -> IntArray:
+    """(K,) int64, in order: the frames of a recording in a table as `EMPTY_TABLE`.
+
+    Raises:
+        InputError: The table cannot be used.
+    """
     (rows,) = _files.table(path, required=("recording", "frame"), text=("recording",))
     own = rows[rows["recording"].str.strip() == recording]
     return np.unique(_files.whole_numbers(path, own["frame"]))

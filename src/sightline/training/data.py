@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.formats.boxes_csv import usable
-from sightline.formats.labels import Margin, parse_margins
+from sightline.formats.labels import (
+    EMPTY_TABLE,
+    Margin,
+    empty_frames,
+    parse_margins,
+    tables_folder,
+)
 from sightline.scene import Recording, Scene
 from sightline.simulation import Harbour, Renderer
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
@@ -30,7 +36,6 @@ _KINDS = {"motorboat": "boat", "ferry": "boat", "dinghy": "boat", "sailboat": "s
 """What the boats of the synthetic harbour count as."""
 
 _PICTURES_A_HARBOUR = 12
-_EMPTY_TABLE = "empty.csv"
 _RING = 0.75
 """How far around a box its background is known to be empty, in widths and heights of the box."""
 
@@ -250,7 +255,9 @@ def _tables(recording: Recording, labels: Labels) -> tuple[list[_Table], set[int
     empty: set[int] = set()
     for folder in labels.folders:
         path = _inner(folder) / f"{recording.name}.csv"
-        without = _empty_frames(folder / _EMPTY_TABLE, recording.name)
+        without: set[int] = set()
+        if (folder / EMPTY_TABLE).exists():
+            without = set(empty_frames(folder / EMPTY_TABLE, recording.name).tolist())
         if path.exists():
             tables.append(_table(path, may_be_empty=bool(without)))
         empty |= without
@@ -258,10 +265,9 @@ def _tables(recording: Recording, labels: Labels) -> tuple[list[_Table], set[int
 
 
 def _inner(folder: Path) -> Path:
-    """Where a folder has its tables: it may be a folder of their own, beside the empty frames."""
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; expected one with tables of boxes, as 07.csv")
-    return folder / "boxes" if (folder / "boxes").is_dir() else folder
+    return tables_folder(folder)
 
 
 def _table(path: Path, may_be_empty: bool) -> _Table:
@@ -270,7 +276,7 @@ def _table(path: Path, may_be_empty: bool) -> _Table:
     if not len(rows) and not may_be_empty:
         raise InputError(
             f"{path}: has a header and no boxes; add some, or remove the file, or name its frames "
-            f"without the target in {_EMPTY_TABLE}"
+            f"without the target in {EMPTY_TABLE}"
         )
     xyxy_px = np.column_stack([_files.numbers(path, rows[name]) for name in corners])
     usable(path, rows.index, xyxy_px, skip_empty=False)
@@ -284,16 +290,6 @@ def _table(path: Path, may_be_empty: bool) -> _Table:
         return _Table(boxes, np.ones(len(boxes), dtype=bool), complete=True)
     target = np.asarray(_files.whole_numbers(path, rows["target"]) != 0)
     return _Table(boxes, target, complete=not target.all())
-
-
-def _empty_frames(path: Path, name: str) -> set[int]:
-    if not path.exists():
-        return set()
-    found: set[int] = set()
-    for rows in _files.table(path, required=("recording", "frame"), text=("recording",)):
-        own = (rows["recording"].str.strip() == name).to_numpy()
-        found |= set(_files.whole_numbers(path, rows["frame"])[own].tolist())
-    return found
 
 
 def _frame_boxes(frame: int, tables: Sequence[_Table], labels: Labels) -> _Known:
