@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
@@ -14,6 +14,7 @@ import pytest
 
 from sightline import Georeferencer, Scene, fit
 from sightline.detection.camera_motion import Stance, View
+from sightline.detection.stances import StanceWatch
 from sightline.formats import read_clock
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import Camera
@@ -150,6 +151,43 @@ def test_a_turn_of_a_pixel_and_a_half_is_seen_and_measured() -> None:
     (turn,) = watch.noticed
     assert turn.pitch_deg == pytest.approx(-np.degrees(1.5 / 900.0), abs=0.02)
     assert START_S + 12.0 < turn.time_utc_s < START_S + 20.0
+
+
+def view_of(frames: Iterator[Frame]) -> View:
+    watch = StanceWatch()
+    for frame in frames:
+        watch.look(frame)
+    return watch.stances[0].view
+
+
+def at_night(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """So dark that the noise of the sensor is all that is left."""
+    rng = np.random.default_rng(9)
+    for frame in frames:
+        dark = 0.01 * frame.image_bgr + rng.normal(12.0, 4.0, frame.image_bgr.shape)
+        yield replace(frame, image_bgr=np.clip(dark, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("later", "told"),
+    [
+        (lambda: pictures(seed=1, apart_s=1.0, duration_s=20.0), False),
+        (lambda: pictures(seed=2, apart_s=1.0, duration_s=20.0), True),
+        (lambda: at_night(pictures(seed=1, apart_s=1.0, duration_s=20.0)), True),
+    ],
+    ids=["by day", "another shore", "by night"],
+)
+def test_a_shore_that_the_model_does_not_know_is_told_of(
+    later: Callable[[], Iterator[Frame]], told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    view = view_of(pictures(seed=1, apart_s=1.0, duration_s=12.0))
+    watch = StandingWatch(model(view=view), warn_of="later.mp4")
+    with caplog.at_level(logging.WARNING, logger="sightline"):
+        for frame in later():
+            watch.look(frame)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == int(told)
+    assert all(one.startswith("later.mp4: the far shore that the model was") for one in said)
 
 
 @pytest.mark.parametrize(

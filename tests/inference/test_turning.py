@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 import sightline
 from sightline import Georeferencer, Scene
 from sightline.detection.camera_motion import CameraMotionWatch, View
+from sightline.detection.stances import StanceWatch
 from sightline.errors import InputError, ModelFileError
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import Camera
-from sightline.inference.turning import Turns
+from sightline.inference.turning import Turns, seen_again
 from sightline.pipeline import TrackSettings, place_boxes, score
 from sightline.simulation import Knock, SimulatedCamera, simulate
 from sightline.simulation.harbour import START_UTC_S
@@ -317,3 +318,21 @@ def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_
         for one, model in ((scene, fitted), (unwatched, plain))
     )
     assert watched_m < plain_m
+
+
+@pytest.mark.parametrize("name", ["06", "07", "13", "17"])
+def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
+    data_dir: Path, name: str
+) -> None:
+    scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
+    fitted = sightline.fit(scene, "camera")
+    assert fitted.camera is not None and fitted.view is not None
+    watches = {mirrored: StanceWatch() for mirrored in (False, True)}
+    for frame in scene[name].frames(apart_s=1.0):
+        watches[False].look(frame)
+        watches[True].look(replace(frame, image_bgr=frame.image_bgr[:, ::-1].copy()))
+    shore = {mirrored: watch.stances for mirrored, watch in watches.items()}
+    assert shore[False] and shore[True]
+    assert seen_again(fitted.view, shore[False][0].view, fitted.camera)
+    assert not seen_again(fitted.view, shore[True][0].view, fitted.camera)
+    assert Turns.of(shore[True], fitted.camera, fitted.view) is None

@@ -26,6 +26,8 @@ from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Positions
 _LEAST_SIGMAS = 4.0
 # Strips are no surer than this, however well they agree.
 _LEAST_SIGMA_PX = 0.15
+# Views of the same shore fit a turn to 0.2 px, two of different ones to some 3 px.
+_MOST_SIGMA_PX = 1.0
 # A turn that is not seen is of the order of this; one about the vertical of as much as the others.
 _UNSEEN_DEG = 1.0
 _ENOUGH = 0.5
@@ -81,20 +83,19 @@ class Turns:
         """
         if not stances:
             return None
-        first = None if reference is None else displacement(reference, stances[0].view)
+        first = None if reference is None else _turn(reference, stances[0].view, camera)
         if reference is None or first is None:
             reference = stances[0].view
         rotations, covariances, known = [np.zeros(3)], [np.zeros((3, 3))], [True]
         turned = False
         for k, stance in enumerate(stances):
-            moved = first if k == 0 else displacement(reference, stance.view)
+            told = first if k == 0 else _turn(reference, stance.view, camera)
             start, doubt = np.zeros(3), np.zeros((3, 3))
-            if moved is None and k:
+            if told is None and k:
                 # Too far from the model's to be compared: from one stance to the next.
-                moved = displacement(stances[k - 1].view, stance.view)
+                told = _turn(stances[k - 1].view, stance.view, camera)
                 start, doubt = rotations[k], covariances[k]
-            told = None if moved is None else _rotation(moved, camera)
-            if moved is None or told is None:
+            if told is None:
                 # It was turned, and nobody knows how; the first is taken for the model's.
                 unsure = np.radians(_UNSEEN_DEG) ** 2 * np.eye(3) if k else 0.0
                 rotations.append(start)
@@ -102,12 +103,12 @@ class Turns:
                 known.append(k == 0)
                 turned |= k > 0
                 continue
-            rotation, covariance = told
+            rotation, covariance, landmarks = told
             turned |= _is_turn(rotation, covariance, camera)
             both = Rotation.from_rotvec(rotation) * Rotation.from_rotvec(start)
             rotations.append(both.as_rotvec())
             covariances.append(covariance + doubt)
-            known.append(moved.landmarks and (known[k] or not start.any()))
+            known.append(landmarks and (known[k] or not start.any()))
         if not turned:
             return None
         return cls(
@@ -236,10 +237,31 @@ def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bo
     return bool(moved_rad >= np.radians(least_turn_deg(camera.focal_px)) and sure.any())
 
 
+def seen_again(reference: View, other: View, camera: Camera) -> bool:
+    """Whether one view shows what stood still in another, wherever it lies in it now.
+
+    Args:
+        reference: Of one time.
+        other: Of another.
+        camera: With the lens of both.
+    """
+    return _turn(reference, other, camera) is not None
+
+
+def _turn(
+    reference: View, other: View, camera: Camera
+) -> tuple[FloatArray, FloatArray, bool] | None:
+    """As `_rotation`, from one view to another, and whether landmarks tell it."""
+    moved = displacement(reference, other)
+    told = None if moved is None else _rotation(moved, camera)
+    return None if moved is None or told is None else (*told, moved.landmarks)
+
+
 def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
     """The turn (3,) of what stands still that moves places as was measured, and its covariance.
 
-    None where the lens has no rays for enough of the places.
+    None where the lens has no rays for enough of the places, or no turn explains what was measured:
+    then the two views do not show the same.
     """
     there = moved.at_px + moved.moved_px
     rays = camera.rays(moved.at_px)
@@ -262,6 +284,8 @@ def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArr
     )
     left = off(found.x)
     sigma_px = max(_LEAST_SIGMA_PX, 1.4826 * float(np.median(np.abs(left))))
+    if sigma_px > _MOST_SIGMA_PX:
+        return None
     design = _slopes(off, found.x)
     scale = np.full(len(left), sigma_px)
     if not moved.landmarks:

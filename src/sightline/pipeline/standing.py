@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 
-from sightline.detection.camera_motion import CameraMotionWatch, CameraTurn
+from sightline.detection.camera_motion import CameraMotionWatch, CameraTurn, Stance
 from sightline.detection.stances import (
     LOOKS_APART_S,
     LOOKS_OF_REFERENCE,
@@ -17,11 +17,17 @@ from sightline.detection.stances import (
     recording_stances,
 )
 from sightline.inference.georeferencer import Georeferencer
-from sightline.inference.turning import Turns
+from sightline.inference.turning import Turns, seen_again
 from sightline.scene import Recording
 from sightline.types import Boxes, FloatArray, Frame
 
 _COLUMNS = 33
+
+_UNRECOGNISED = (
+    "the far shore that the model was fitted with is not made out in the first pictures (too few, "
+    "night, fog, another season?), so nothing tells whether the camera still lies as for the model; it is "
+    "taken to lie so until it turns."
+)
 
 _logger = logging.getLogger(__name__)
 
@@ -98,21 +104,25 @@ class StandingWatch(Standing):
         turn = self._watch.update(frame)
         stances = self._watch.stances
         if len(stances) != self._known:
+            if self._known == 0 and not _recognised(self._model, stances):
+                self._warn(_UNRECOGNISED)
             self._known = len(stances)
             self._turns = self._model.turns(stances)
             if turn is None and self._turns is not None:
-                self._warn(self._turns.sentences()[0])
+                self._warn_of_turn(self._turns.sentences()[0])
         if turn is not None:
             self._noticed.append(turn)
-            self._warn(turn_sentence(turn))
+            self._warn_of_turn(turn_sentence(turn))
         return turn
 
-    def _warn(self, sentence: str) -> None:
-        if self._warn_of is None:
-            return
+    def _warn_of_turn(self, sentence: str) -> None:
         made_up = self._correct and self._turns is not None
         after = "Positions are corrected." if made_up else "The model does not hold for it."
-        _logger.warning("%s: %s %s", self._warn_of, sentence, after)
+        self._warn(f"{sentence} {after}")
+
+    def _warn(self, sentences: str) -> None:
+        if self._warn_of is not None:
+            _logger.warning("%s: %s", self._warn_of, sentences)
 
     def level(self, batches: Iterable[Boxes]) -> Iterator[Boxes]:
         """See `Standing`; boxes wait until no turn before them can be told of any more."""
@@ -152,12 +162,17 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
 
     Returns:
         A sentence or more, where the camera was turned in the recording, or lay otherwise than
-        for the model; None where it did not, or nothing tells.
+        for the model, or its pictures cannot be compared with what the model's camera saw; None
+        where it lay as for the model, or there are no pictures or no view to compare.
     """
-    turns = recording_turns(recording, model)
-    if turns is None:
+    if model.camera is None or model.moving:
         return None
-    return f"Recording {recording.name}: {' '.join(turns.sentences())}"
+    stances = recording_stances(recording)
+    turns = model.turns(stances)
+    seen = recording.source is None or _recognised(model, stances)
+    said = [] if seen else [_UNRECOGNISED]
+    said += [] if turns is None else turns.sentences()
+    return f"Recording {recording.name}: {' '.join(said)}" if said else None
 
 
 def turn_sentence(turn: CameraTurn) -> str:
@@ -173,6 +188,16 @@ def turn_sentence(turn: CameraTurn) -> str:
         f"{turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll, "
         f"{turn.shift_px:.1f} px in the picture."
     )
+
+
+def _recognised(model: Georeferencer, stances: Sequence[Stance]) -> bool:
+    """Whether a recording's beginning shows what stood still before the model's camera.
+
+    True as well where the model has no view to compare it with.
+    """
+    if model.view is None or model.camera is None:
+        return True
+    return bool(stances) and seen_again(model.view, stances[0].view, model.camera)
 
 
 def _last_s(boxes: Boxes) -> float:
