@@ -326,13 +326,15 @@ def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
 ) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     fitted = sightline.fit(scene, "camera")
-    assert fitted.camera is not None and fitted.view is not None
+    assert fitted.camera is not None
+    assert fitted.view is not None
     watches = {mirrored: StanceWatch() for mirrored in (False, True)}
     for frame in scene[name].frames(apart_s=1.0):
         watches[False].look(frame)
         watches[True].look(replace(frame, image_bgr=frame.image_bgr[:, ::-1].copy()))
     shore = {mirrored: watch.stances for mirrored, watch in watches.items()}
-    assert shore[False] and shore[True]
+    assert shore[False]
+    assert shore[True]
     assert seen_again(fitted.view, shore[False][0].view, fitted.camera)
     assert not seen_again(fitted.view, shore[True][0].view, fitted.camera)
     assert Turns.of(shore[True], fitted.camera, fitted.view) is None

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from sightline.detection.camera_motion import View
 from sightline.errors import ModelFileError, SightlineError
@@ -23,6 +23,7 @@ from sightline.inference.support import Support
 FORMAT = "sightline-model"
 FORMAT_VERSION = 1
 
+_LENGTH_BYTES = 8
 _VIEW = ("strips", "top_px", "left_px")
 _DAMAGE = (
     ArithmeticError,
@@ -65,12 +66,21 @@ def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Pa
             "format_version": str(FORMAT_VERSION),
             "content": json.dumps(content, allow_nan=False),
         }
-        try:
-            save_file(tensors, temporary, metadata=metadata)
-        except SafetensorError as error:
-            # So are failures of the operating system called there.
-            raise OSError(str(error)) from error
+        temporary.write_bytes(_in_order(save(tensors, metadata)))
     return Path(path)
+
+
+def _in_order(file: bytes) -> bytes:
+    """The same file with its header sorted: equal models are equal files.
+
+    The library writes the metadata in an order that changes from one run to the next.
+    """
+    start = _LENGTH_BYTES + int.from_bytes(file[:_LENGTH_BYTES], "little")
+    header = json.dumps(
+        json.loads(file[_LENGTH_BYTES:start]), sort_keys=True, separators=(",", ":")
+    ).encode()
+    header += b" " * (-len(header) % _LENGTH_BYTES)
+    return len(header).to_bytes(_LENGTH_BYTES, "little") + header + file[start:]
 
 
 def load_model(path: str | os.PathLike[str]) -> Georeferencer:

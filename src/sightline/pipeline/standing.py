@@ -25,8 +25,8 @@ _COLUMNS = 33
 
 _UNRECOGNISED = (
     "the far shore that the model was fitted with is not made out in the first pictures (too few, "
-    "night, fog, another season?), so nothing tells whether the camera still lies as for the model; it is "
-    "taken to lie so until it turns."
+    "night, fog, another season?), so nothing tells whether the camera still lies as for the "
+    "model; it is taken to lie so until it turns."
 )
 
 _logger = logging.getLogger(__name__)
