@@ -22,7 +22,8 @@ from harbour_crowd import RATE_HZ, Crowd, crowd, learned
 
 from sightline.evaluation.tracking import score_tracking
 from sightline.geodesy import LocalPlane
-from sightline.tracking import ImageTracker, Tracker, WorldTracker, iou
+from sightline.overlap import iou
+from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.types import Boxes, FloatArray, Positions, StrArray
 
 COLUMNS = ("hota", "deta", "assa", "idf1", "tracks")
@@ -91,7 +92,7 @@ def check(truth: Boxes, found: Boxes) -> float | None:
         "gt_ids": [true_rank[rows] for rows in own],
         "tracker_ids": [found_rank[rows] for rows in their],
         "similarity_scores": [
-            iou(truth.xyxy_px[a], found.xyxy_px[b]) for a, b in zip(own, their, strict=True)
+            iou(truth.xyxy_px[a, None], found.xyxy_px[b]) for a, b in zip(own, their, strict=True)
         ],
         "num_timesteps": frames.size,
     }

@@ -35,8 +35,8 @@ from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels as Known
 from sightline.formats.labels import Margin, read_label_folder, write_labels
 from sightline.labelling import learn_size, propose
+from sightline.overlap import iou
 from sightline.scene import Scene
-from sightline.tracking import iou
 from sightline.training.data import Labels
 from sightline.training.loop import TrainingSettings
 from sightline.training.recipe import Recipe, train_detector
@@ -103,7 +103,7 @@ def _right(boxes: Boxes, name: str) -> int:
     right = 0
     for frame, box in zip(boxes.frame, boxes.xyxy_px, strict=True):
         truth = drawn.boxes.xyxy_px[drawn.target & (drawn.boxes.frame == frame)]
-        overlap = iou(MARGINS["log"].widened(box)[None], MARGINS["sightline"].widened(truth))
+        overlap = iou(MARGINS["log"].widened(box), MARGINS["sightline"].widened(truth))
         right += bool((overlap >= 0.5).any())
     return right
 

@@ -21,8 +21,8 @@ from sightline.detection import (
 from sightline.detection.metadata import DetectorMetadata, LowerEdge
 from sightline.detection.onnx import available_providers
 from sightline.errors import InputError
+from sightline.overlap import iou
 from sightline.scene import Scene
-from sightline.tracking import iou
 from sightline.types import Frame
 
 MakeFile = Callable[..., Path]
@@ -351,7 +351,7 @@ def test_a_published_detector_finds_boats_on_real_frames(data_dir: Path) -> None
             if len(own_boxes):
                 found = detector.detect(frame)
                 assert set(found.label) <= {"boat"}
-                overlap = iou(own_boxes, found.xyxy_px).max(initial=0.0)
+                overlap = iou(own_boxes[:, None], found.xyxy_px).max(initial=0.0)
                 best.setdefault(kind, []).append(float(overlap))
     share = {kind: float(np.mean(np.array(values) >= 0.3)) for kind, values in best.items()}
     assert share["strip"] == 1.0

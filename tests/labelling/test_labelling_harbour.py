@@ -16,8 +16,8 @@ from sightline.formats.labels import read_labels
 from sightline.labelling import Proposals, TargetSize, expect, learn_size, propose
 from sightline.labelling.expected import place_of
 from sightline.labelling.snapping import Background, Belief, Look, snap
+from sightline.overlap import iou
 from sightline.simulation.simulate import simulate
-from sightline.tracking.image import iou
 from sightline.types import Frame
 
 
@@ -59,7 +59,7 @@ def overlaps(proposals: Proposals, exact: Boxes) -> np.ndarray:
     of_frame = {int(f): b for f, b in zip(exact.frame, exact.xyxy_px, strict=True)}
     return np.array(
         [
-            iou(box[None], of_frame[int(frame)][None])[0, 0] if int(frame) in of_frame else 0.0
+            iou(box, of_frame[int(frame)]) if int(frame) in of_frame else 0.0
             for frame, box in zip(boxes.frame, boxes.xyxy_px, strict=True)
         ]
     )

@@ -10,7 +10,7 @@ import pytest
 from sightline import Scene, fit
 from sightline.formats.labels import read_labels
 from sightline.labelling import SOURCE, contact_sheets, learn_size, propose
-from sightline.tracking.image import iou
+from sightline.overlap import iou
 
 DRAWN = Path(__file__).parents[2] / "benchmarks" / "tracks-at-sea" / "boxes"
 
@@ -39,7 +39,7 @@ def test_boxes_from_the_log_agree_with_those_drawn_by_eye(
     assert set(boxes.source.tolist()) == {SOURCE}
     overlap = np.array(
         [
-            iou(box[None], truth[int(frame)][None])[0, 0] if int(frame) in truth else 0.0
+            iou(box, truth[int(frame)]) if int(frame) in truth else 0.0
             for frame, box in zip(boxes.frame, boxes.xyxy_px, strict=True)
         ]
     )

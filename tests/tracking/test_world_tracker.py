@@ -13,9 +13,8 @@ from sightline.tracking import (
     TargetTracker,
     WorldTracker,
     WorldTrackerSettings,
-    iou,
 )
-from sightline.types import NO_TRACK, Boxes, FloatArray, Positions, StrArray
+from sightline.types import Boxes, FloatArray, Positions, StrArray
 
 HEIGHT_M, FOCAL_PX, HORIZON_PX, CENTRE_PX = 6.0, 1000.0, 200.0, 640.0
 
@@ -264,9 +263,3 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
         taken = possible[best]
         assert rows.size == int(taken.sum())
         assert cost[rows, columns].sum() == pytest.approx(table[best][taken].sum(), abs=1e-9)
-
-
-def test_overlap_is_measured_alike_everywhere() -> None:
-    first, second = np.array([[0.0, 0.0, 2.0, 2.0]]), np.array([[1.0, 1.0, 3.0, 3.0]])
-    assert iou(first, second)[0, 0] == pytest.approx(1.0 / 7.0)
-    assert NO_TRACK == -1

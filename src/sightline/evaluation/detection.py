@@ -20,8 +20,8 @@ import numpy as np
 from sightline.detection import Detector, OnnxDetector
 from sightline.errors import InputError
 from sightline.formats.labels import Labels, read_label_folder
+from sightline.overlap import giou, iou
 from sightline.scene import Recording, Scene
-from sightline.tracking import iou
 from sightline.types import BoolArray, Boxes, FloatArray
 
 DEFAULT_IOU = 0.3
@@ -94,23 +94,6 @@ class DetectionReport:
         return asdict(self)
 
 
-def giou(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(N,) generalised intersection over union of boxes, row by row; Rezatofighi et al. 2019.
-
-    Args:
-        first: (N, 4) px.
-        second: (N, 4) px.
-    """
-    low = np.maximum(first[:, :2], second[:, :2])
-    high = np.minimum(first[:, 2:], second[:, 2:])
-    shared = np.maximum(high - low, 0.0).prod(axis=1)
-    area = [(boxes[:, 2:] - boxes[:, :2]).prod(axis=1) for boxes in (first, second)]
-    union = area[0] + area[1] - shared
-    hull = np.maximum(first[:, 2:], second[:, 2:]) - np.minimum(first[:, :2], second[:, :2])
-    around = hull.prod(axis=1)
-    return np.asarray(shared / union - (around - union) / around, dtype=np.float64)
-
-
 @dataclass(frozen=True, eq=False)
 class _Matches:
     """All found boxes that count, most confident first.
@@ -131,7 +114,7 @@ class _Matches:
 def _match(frame: JudgedFrame, least_iou: float) -> _Matches:
     """Give found boxes to drawn ones; those given to what is ignored are left out."""
     order = np.argsort(-frame.confidence, kind="stable")
-    overlap = iou(frame.found_xyxy_px[order], frame.truth_xyxy_px)
+    overlap = iou(frame.found_xyxy_px[order, None], frame.truth_xyxy_px)
     free = np.ones(len(frame.truth_xyxy_px), dtype=bool)
     right, counts, given = [], [], []
     for row in range(len(order)):
@@ -189,7 +172,7 @@ def score_detections(
     wrong = int((~right & kept).sum())
     recall_at, threshold_at = _at_allowed(confidence, right, drawn, allowed_per_frame * len(frames))
     chosen = right & kept
-    overlap = _diagonal_iou(found[chosen], truth[chosen])
+    overlap = iou(found[chosen], truth[chosen])
     map_50, map_50_95 = _average_precision(frames) if drawn else (math.nan, math.nan)
     return DetectionReport(
         frames=len(frames),
@@ -209,11 +192,6 @@ def score_detections(
         mean_giou=float(giou(found[chosen], truth[chosen]).mean()) if overlap.size else math.nan,
         foot_px=float(np.median((found - truth)[chosen, 3])) if overlap.size else math.nan,
     )
-
-
-def _diagonal_iou(first: FloatArray, second: FloatArray) -> FloatArray:
-    pairs = [float(iou(a[None], b[None])[0, 0]) for a, b in zip(first, second, strict=True)]
-    return np.array(pairs, dtype=np.float64)
 
 
 def _at_allowed(

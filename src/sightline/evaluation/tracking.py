@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from sightline.errors import InputError
-from sightline.tracking import iou
+from sightline.overlap import iou
 from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray
 
 _THRESHOLDS = np.arange(0.05, 0.99, 0.05)
@@ -72,7 +72,8 @@ def score_tracking(truth: Boxes, found: Boxes) -> TrackingScore:
     frames = np.unique(np.concatenate([truth.frame, found.frame]))
     parts = [_by_frame(boxes, frames) for boxes in (truth, found)]
     similarity = [
-        iou(truth.xyxy_px[own], found.xyxy_px[theirs]) for own, theirs in zip(*parts, strict=True)
+        iou(truth.xyxy_px[own, None], found.xyxy_px[theirs])
+        for own, theirs in zip(*parts, strict=True)
     ]
     return score_identities(
         [truth.track_id[rows] for rows in parts[0]],

@@ -14,6 +14,7 @@ from sightline.evaluation.metrics import Pairs as ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
 from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer
 from sightline.inference.levelling import scene_horizons
+from sightline.overlap import iou
 from sightline.pipeline.boxes import (
     LOOKED_AT,
     SeldomError,
@@ -25,7 +26,6 @@ from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
 from sightline.pipeline.standing import Standing, camera_turns, recording_turns
 from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.scene import Recording, Scene
-from sightline.tracking import iou
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.types import NO_TRACK, Boxes, Track
@@ -201,7 +201,7 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
         here = np.flatnonzero(found.frame == frame)
         if not here.size:
             continue
-        overlap = iou(box[None, :], found.xyxy_px[here])[0]
+        overlap = iou(box, found.xyxy_px[here])
         best = int(np.argmax(overlap))
         if overlap[best] >= least_iou:
             rows.append(int(here[best]))

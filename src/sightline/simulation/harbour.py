@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
+from sightline.overlap import shared_area
 from sightline.platform import Platform
 from sightline.simulation.boats import Boat, Shape, dinghy, ferry, motorboat, sailboat
 from sightline.simulation.camera import SimulatedCamera
@@ -415,7 +416,7 @@ class Harbour:
         boxes = np.where(known[..., None], outlines, 0.0)
         area = np.maximum((boxes[..., 2:] - boxes[..., :2]).prod(axis=-1), 1e-9)
         limits = np.array([0.0, 0.0, width, height])
-        seen: BoolArray = known & (_overlap(boxes, limits) / area >= _LEAST_SHARE_SEEN)
+        seen: BoolArray = known & (shared_area(boxes, limits) / area >= _LEAST_SHARE_SEEN)
         seen = seen & (boxes[..., 3] <= height)
         since = times - self.start_utc_s
         eye = 0.0 if self.platform is None else self.platform.at(since)
@@ -424,7 +425,7 @@ class Harbour:
         )
         for j in range(len(self.boats)):
             nearer = distance[:, j : j + 1] < distance
-            hidden = _overlap(boxes, boxes[:, j : j + 1]) / area
+            hidden = shared_area(boxes, boxes[:, j : j + 1]) / area
             seen = seen & ~(nearer & known[:, j : j + 1] & (hidden > 0.5))
         for pile in self.piles:
             corners = self.camera.project(pile.outline_enu_m())
@@ -432,7 +433,7 @@ class Harbour:
                 continue
             box = np.concatenate([np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)])
             nearer = np.hypot(pile.east_m, pile.north_m) < distance
-            seen = seen & ~(nearer & (_overlap(boxes, box) / area > 0.5))
+            seen = seen & ~(nearer & (shared_area(boxes, box) / area > 0.5))
         return seen
 
     def fixes(
@@ -510,13 +511,6 @@ def _correlated(
     for i in range(1, times.size):
         out[order[i]] = memory[i - 1] * out[order[i - 1]] + fresh[i - 1] * out[order[i]]
     return out
-
-
-def _overlap(boxes: FloatArray, other: FloatArray) -> FloatArray:
-    """Area that boxes share with others, px²; (..., 4) against anything that broadcasts."""
-    low = np.maximum(boxes[..., :2], other[..., :2])
-    high = np.minimum(boxes[..., 2:], other[..., 2:])
-    return np.asarray(np.maximum(high - low, 0.0).prod(axis=-1))
 
 
 def _inside(boxes: FloatArray, image_size_px: tuple[int, int]) -> FloatArray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.detection import Detector, LowerEdge
 from sightline.errors import FitError
+from sightline.overlap import iou
 from sightline.simulation.harbour import Harbour
 from sightline.simulation.render import Renderer
 from sightline.types import BoolArray, FloatArray, Frame, IntArray
@@ -81,7 +82,7 @@ def overhang(
             found = detector.detect(frame).xyxy_px
             if not len(found) or not len(exact):
                 continue
-            overlap = _overlaps(exact, found)
+            overlap = iou(exact[:, None], found)
             nearest = np.argmax(overlap, axis=1)
             taken = overlap[np.arange(len(exact)), nearest] > _LEAST_OVERLAP
             taken &= _whole(exact, harbour.camera.image_size_px)
@@ -122,16 +123,6 @@ def lower_edge(seen: Overhang) -> LowerEdge:
     ]
     spread = float(np.std(medians)) if len(medians) > 1 else scale
     return LowerEdge(px=float(line[0]), share=float(line[1]), spread_px=max(spread, 0.1))
-
-
-def _overlaps(boxes: FloatArray, others: FloatArray) -> FloatArray:
-    """(N, M) intersection over union."""
-    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    shared = np.prod(np.maximum(high - low, 0.0), axis=2)
-    area = np.prod(boxes[:, 2:] - boxes[:, :2], axis=1)[:, None]
-    area = area + np.prod(others[:, 2:] - others[:, :2], axis=1)[None, :]
-    return np.asarray(shared / (area - shared))
 
 
 def _whole(boxes: FloatArray, image_size_px: tuple[int, int]) -> BoolArray:

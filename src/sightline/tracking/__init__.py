@@ -1,6 +1,6 @@
 """Stage 2: boxes in, boxes with a track id out."""
 
-from sightline.tracking.image import ImageTracker, ImageTrackerSettings, iou
+from sightline.tracking.image import ImageTracker, ImageTrackerSettings
 from sightline.tracking.targets import TargetTracker, TrackerSettings
 from sightline.tracking.tracker import Tracker
 from sightline.tracking.world import WorldTracker, WorldTrackerSettings
@@ -13,5 +13,4 @@ __all__ = [
     "TrackerSettings",
     "WorldTracker",
     "WorldTrackerSettings",
-    "iou",
 ]

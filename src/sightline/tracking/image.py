@@ -213,13 +213,3 @@ class ImageTracker(TargetTracker):
         """
         settings = settings if settings is not None else ImageTrackerSettings()
         super().__init__(ImagePlane(settings), settings)
-
-
-def iou(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(N, M) intersection over union of boxes (N, 4) and (M, 4), pixels."""
-    low = np.maximum(first[:, None, :2], second[None, :, :2])
-    high = np.minimum(first[:, None, 2:], second[None, :, 2:])
-    shared = np.maximum(high - low, 0.0).prod(axis=2)
-    area_1 = (first[:, 2:] - first[:, :2]).prod(axis=1)
-    area_2 = (second[:, 2:] - second[:, :2]).prod(axis=1)
-    return np.asarray(shared / (area_1[:, None] + area_2[None, :] - shared))

@@ -28,6 +28,7 @@ from torch import Tensor, nn
 
 from sightline.errors import InputError
 from sightline.formats.atomic import atomic_path
+from sightline.overlap import giou, iou
 from sightline.training.architecture import Target, Trainable
 from sightline.training.data import Picture
 
@@ -413,7 +414,7 @@ def _average_precision(pictures: Sequence[Picture], found: Sequence[_Found], lab
         total += len(truth)
         own = np.flatnonzero(labels == label)
         for i in own[np.argsort(-confidence[own], kind="stable")]:
-            overlap = np.where(taken, 0.0, _overlaps(boxes[i], truth))
+            overlap = np.where(taken, 0.0, iou(boxes[i], truth))
             best = int(np.argmax(overlap)) if len(overlap) else -1
             if best >= 0 and overlap[best] >= 0.5:
                 taken[best] = True
@@ -444,24 +445,8 @@ def _giou_loss(pictures: Sequence[Picture], found: Sequence[_Found]) -> float:
             if ignore:
                 continue
             own = boxes[labels == label]
-            losses.append(1.0 - _giou(truth, own).max() if len(own) else 2.0)
+            losses.append(1.0 - giou(truth, own).max() if len(own) else 2.0)
     return float(np.mean(losses)) if losses else float("nan")
-
-
-def _overlaps(box: np.ndarray[Any, Any], others: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    low, high = np.maximum(box[:2], others[:, :2]), np.minimum(box[2:], others[:, 2:])
-    shared = np.maximum(high - low, 0.0).prod(axis=1)
-    area = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1)
-    return np.asarray(shared / np.maximum(area - shared, 1e-9))
-
-
-def _giou(box: np.ndarray[Any, Any], others: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    overlap = _overlaps(box, others)
-    low, high = np.minimum(box[:2], others[:, :2]), np.maximum(box[2:], others[:, 2:])
-    hull = (high - low).prod(axis=1)
-    area = (box[2:] - box[:2]).prod() + (others[:, 2:] - others[:, :2]).prod(axis=1)
-    union = area / (1.0 + overlap)
-    return np.asarray(overlap - (hull - union) / np.maximum(hull, 1e-9))
 
 
 def _covered(box: np.ndarray[Any, Any], regions: np.ndarray[Any, Any]) -> bool:
