@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sightline import video
-from sightline.detection import MotionDetector, SceneDetections, detect, look, shown
+from sightline.detection import MotionDetector, SceneDetections, detect, shown
 from sightline.detection.water_edge import StillPicture
 from sightline.scene import Scene
 from sightline.types import Boxes, Frame
@@ -85,40 +85,25 @@ def test_everybody_has_looked_when_a_picture_is_handed_on() -> None:
         assert frame.index == i
         assert one.index == other.index == list(range(i + 1))
     alone = Notes()
-    look(pictures(), [alone])
+    list(shown(pictures(), [alone]))
     assert alone.index == one.index
 
 
-def test_a_pass_serves_the_detector_the_still_picture_and_others(
-    scene: Scene, passes: list[int]
-) -> None:
-    seen, beside = SceneDetections(scene, "motion", stills=True), Notes()
-    seen.detect(scene["a"], [beside])
+def test_a_pass_serves_the_detector_and_the_still_picture(scene: Scene, passes: list[int]) -> None:
+    seen = SceneDetections(scene, "motion", stills=True)
     boxes, still, times = (
         seen.boxes(scene["a"]),
         seen.still(scene["a"]),
         seen.times_utc_s(scene["a"]),
     )
     assert passes == [FRAMES]
-    assert beside.index == list(range(FRAMES))
     # Each by itself finds the same.
     assert len(boxes) > 10
     same(boxes, Boxes.concatenate(list(detect(scene["a"].frames(), MotionDetector()))))
     alone = StillPicture()
-    look(scene["a"].frames(), [alone])
+    list(shown(scene["a"].frames(), [alone]))
     np.testing.assert_array_equal(still, alone.picture())
     np.testing.assert_allclose(times, [frame.time_utc_s for frame in pictures()])
-
-
-def test_who_comes_later_is_shown_the_pictures_without_the_detector(
-    scene: Scene, passes: list[int]
-) -> None:
-    seen, late = SceneDetections(scene, "motion"), Notes()
-    before = seen.boxes(scene["a"])
-    seen.detect(scene["a"], [late])
-    assert late.index == list(range(FRAMES))
-    assert passes == [FRAMES, FRAMES]
-    assert seen.boxes(scene["a"]) is before
 
 
 def test_a_still_picture_alone_takes_no_more_pictures_than_it_needs(
@@ -132,10 +117,10 @@ def test_a_still_picture_alone_takes_no_more_pictures_than_it_needs(
 
 def test_what_moves_is_not_in_the_still_picture() -> None:
     still = StillPicture(every=3, most=9)
-    look(pictures(), [still])
+    list(shown(pictures(), [still]))
     assert still.seen_enough
     assert still.picture().min() > 130
     odd = Frame(99, 0.0, np.zeros((8, 8, 3), np.uint8))
     mixed = StillPicture()
-    look([next(pictures()), odd], [mixed])
+    list(shown([next(pictures()), odd], [mixed]))
     assert mixed.picture().shape == SIZE_PX[::-1]

@@ -13,7 +13,6 @@ from sightline.detection.looking import (
     SceneDetections,
     detect,
     frame_count,
-    look,
     lower_edges_of,
     shown,
 )
@@ -41,7 +40,6 @@ __all__ = [
     "detect",
     "detector_by_name",
     "frame_count",
-    "look",
     "lower_edges_of",
     "shown",
 ]

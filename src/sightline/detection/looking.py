@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -48,12 +48,6 @@ def shown(frames: Iterable[Frame], lookers: Iterable[Looker]) -> Iterator[Frame]
         for looker in lookers:
             looker.look(frame)
         yield frame
-
-
-def look(frames: Iterable[Frame], lookers: Iterable[Looker]) -> None:
-    """Show pictures to all lookers, to the last one."""
-    for _ in shown(frames, lookers):
-        pass
 
 
 def detect(
@@ -178,12 +172,12 @@ class SceneDetections:
             InputError: The pictures cannot be read, have no times, or another size than the
                 scene's.
         """
-        self.detect(recording)
+        self._detect(recording)
         return self._found[recording.name][0]
 
     def times_utc_s(self, recording: Recording) -> FloatArray:
         """(N,) the times of its pictures; raises as `boxes`."""
-        self.detect(recording)
+        self._detect(recording)
         return self._found[recording.name][1]
 
     def still(self, recording: Recording) -> NDArray[np.uint8]:
@@ -201,23 +195,14 @@ class SceneDetections:
             self._stills[recording.name] = looker.picture()
         return self._stills[recording.name]
 
-    def detect(self, recording: Recording, beside: Sequence[Looker] = ()) -> None:
-        """Let the detector look at a recording's pictures, if it has not yet, and others with it.
-
-        Args:
-            recording: One with pictures.
-            beside: Are shown the pictures in any case.
-
-        Raises:
-            InputError: As `boxes`.
-        """
+    def _detect(self, recording: Recording) -> None:
+        """Let the detector look at a recording's pictures, if it has not yet."""
         assert recording.source is not None, "a recording has boxes, detections or pictures"
         if recording.name in self._found:
-            if beside:
-                look(recording.frames(), beside)
             return
         assert self._detector is not None, "boxes are asked for where there is a detector"
-        times, lookers = _Times(), list(beside)
+        times = _Times()
+        lookers: list[Looker] = [times]
         still: StillPicture | None = None
         if self._stills_wanted and recording.name not in self._stills:
             still = StillPicture.of(recording)
@@ -231,7 +216,7 @@ class SceneDetections:
         frames = usable(recording.frames(), self._scene.image_size_px, where)
         found = list(
             detect(
-                shown(frames, [times, *lookers]),
+                shown(frames, lookers),
                 detector_by_name(self._detector),
                 frame_count(recording.source),
                 lambda _what, share: self._tell(f"detecting in {recording.name}", share),
