@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,14 @@ import pytest
 from sightline.errors import InputError
 from sightline.evaluation.detection import (
     JudgedFrame,
+    detect_labelled,
+    pooled,
+    scene_labels,
     score_detections,
 )
+from sightline.formats.labels import parse_margins, read_label_folder, read_labels
+from sightline.scene import Scene
+from sightline.types import Boxes, Frame
 
 A = [100.0, 100.0, 140.0, 120.0]
 B = [300.0, 200.0, 340.0, 220.0]
@@ -115,3 +122,112 @@ def test_nothing_found_and_nothing_to_find() -> None:
         score_detections([])
     with pytest.raises(InputError, match="iou is 0"):
         score_detections([frame([A], [])], least_iou=0.0)
+
+
+def test_labels_tell_targets_others_and_empty_frames(tmp_path: Path) -> None:
+    (tmp_path / "07.csv").write_text(
+        "frame,x1,y1,x2,y2,annotator,label,target\n"
+        "0,1,2,30,40,me,boat,1\n0,5,6,70,80,me,sailboat,0\n200,,,,,,,\n100,1,2,3,4,me,boat,\n"
+    )
+    (tmp_path / "empty.csv").write_text("recording,frame\n07,300\n08,500\n")
+    labels = read_labels(tmp_path / "07.csv")
+    assert labels.boxes.frame.tolist() == [0, 0, 100]
+    assert labels.target.tolist() == [True, False, True]
+    assert labels.empty_frames.tolist() == [200]
+    seven = read_label_folder(tmp_path, "07")
+    assert seven is not None
+    assert seven.frames.tolist() == [0, 100, 200, 300]
+    eight = read_label_folder(tmp_path, "08")
+    assert eight is not None
+    assert (len(eight.boxes), eight.frames.tolist()) == (0, [500])
+    assert read_label_folder(tmp_path, "09") is None
+
+
+def test_tables_of_labels_may_lie_beside_the_list_of_empty_frames(tmp_path: Path) -> None:
+    inner = tmp_path / "boxes"
+    inner.mkdir()
+    (inner / "07.csv").write_text("frame,x1,y1,x2,y2\n0,1,2,30,40\n")
+    (inner / "08.csv").write_text("frame,x1,y1,x2,y2\n")
+    (tmp_path / "empty.csv").write_text("recording,frame\n07,300\n08,500\n")
+    for folder in (tmp_path, inner):
+        seven = read_label_folder(folder, "07")
+        assert seven is not None
+        assert seven.frames.tolist() == [0, 300]
+        # A table without boxes is of use where its frames are known to be empty.
+        eight = read_label_folder(folder, "08")
+        assert eight is not None
+        assert (len(eight.boxes), eight.frames.tolist()) == (0, [500])
+
+
+def test_margins_of_annotators_and_specks(tmp_path: Path) -> None:
+    (tmp_path / "07.csv").write_text(
+        "frame,x1,y1,x2,y2,annotator,target\n"
+        "0,100,50,140,70,me,1\n0,10,20,20,25,me,1\n0,100,50,140,70,you,1\n"
+    )
+    labels = read_labels(tmp_path / "07.csv")
+    changed = labels.without_specks(6.0).widened(parse_margins(["me=2.5+10%"]))
+    # By 2.5 px and a tenth of the height, 4.5 px and 3 px; the other annotator's stays.
+    np.testing.assert_allclose(
+        changed.boxes.xyxy_px,
+        [[95.5, 45.5, 144.5, 74.5], [7.0, 17.0, 23.0, 28.0], [100.0, 50.0, 140.0, 70.0]],
+    )
+    # It was 5 px high before the margin.
+    assert changed.target.tolist() == [True, False, True]
+    assert labels.target.all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("frame,x1,y1,x2,y2\n", "holds no box, and no frame without one"),
+        ("", "is empty"),
+        ("frame,x1,y1,x2\n1,2,3,4\n", "lacks the column y2"),
+        ("frame,x1,y1,x2,y2\n1,2,3,4,\n", "line 2: .* is no number"),
+        ("frame,x1,y1,x2,y2,target\n1,2,3,4,5,2\n", "line 2: 2 is no target; give 1 or 0"),
+        ("frame,x1,y1,x2,y2\n,,,,\n", "holds no box"),
+    ],
+)
+def test_labels_that_cannot_be_used(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "07.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_labels(tmp_path / "07.csv")
+
+
+class Recalling:
+    """A detector that says what was drawn, three pixels to the right."""
+
+    def __init__(self, known: dict[int, np.ndarray]) -> None:
+        self.known = known
+        self.shown: list[int] = []
+
+    def reset(self) -> None:
+        self.shown.clear()
+
+    def detect(self, frame: Frame) -> Boxes:
+        self.shown.append(frame.index)
+        boxes = self.known.get(frame.index, np.empty((0, 4))) + np.array([3.0, 0.0, 3.0, 0.0])
+        return Boxes.of(boxes, frame=frame.index, confidence=0.9)
+
+
+def test_a_scene_is_measured_where_it_has_boxes_and_pictures(data_dir: Path) -> None:
+    scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml").select(["08", "17"])
+    known = scene_labels(scene)
+    assert set(known) == {"08", "17"}
+    drawn = scene["17"].boxes()
+    detector = Recalling({int(f): drawn.xyxy_px[drawn.frame == f] for f in drawn.frame})
+    judged = detect_labelled(scene.select(["17"]), {"17": known["17"]}, detector)
+    # What learns from the frames before is shown all of them.
+    assert len(detector.shown) == 36
+    report = score_detections(pooled(judged))
+    assert report.frames == len(judged["17"]) == 4
+    assert report.recall == 1.0
+
+
+def test_a_scene_without_boxes_or_pictures_cannot_measure(tmp_path: Path, data_dir: Path) -> None:
+    scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
+    with pytest.raises(InputError, match="no recording has both pictures and boxes"):
+        scene_labels(scene.select(["20"]))
+    with pytest.raises(InputError, match="no such folder of labels"):
+        scene_labels(scene, tmp_path / "none")
+    with pytest.raises(InputError, match="no recording has both pictures and labels in"):
+        scene_labels(scene, tmp_path)
