@@ -14,7 +14,7 @@ from evo.core.trajectory import PoseTrajectory3D
 from rich.console import Console
 from rich.table import Table
 
-from sightline.evaluation import Pairs, absolute_error, evaluate_tracks, relative_error
+from sightline.evaluation import ScoredPairs, absolute_error, evaluate_tracks, relative_error
 from sightline.geodesy import LocalPlane
 from sightline.types import Fixes, Track
 
@@ -48,7 +48,7 @@ def main() -> None:
     true = np.cumsum(rng.normal(0.0, 0.2, (POSES, 2)), axis=0)
     estimate = true + rng.normal(0.0, 3.0, (POSES, 2))
     covariance = np.tile(9.0 * np.eye(2), (POSES, 1, 1))
-    pairs = Pairs(
+    pairs = ScoredPairs(
         time_utc_s=times,
         east_m=estimate[:, 0],
         north_m=estimate[:, 1],

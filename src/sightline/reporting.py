@@ -12,7 +12,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
-from sightline.evaluation.metrics import Pairs, pair_track
+from sightline.evaluation.metrics import ScoredPairs, pair_track
 from sightline.evaluation.page import (
     ModelRow,
     OutlierRow,
@@ -185,15 +185,15 @@ def compare_page(
     )
 
 
-def single_pairs(placed: Sequence[Placed]) -> Pairs:
+def single_pairs(placed: Sequence[Placed]) -> ScoredPairs:
     """The boxes of all recordings beside their logs."""
-    return Pairs.concatenate([one.single() for one in placed])
+    return ScoredPairs.concatenate([one.single() for one in placed])
 
 
-def _figures(positions: Mapping[str, Pairs]) -> list[PageFigure]:
+def _figures(positions: Mapping[str, ScoredPairs]) -> list[PageFigure]:
     if not positions:
         return []
-    everything = {"single boxes": Pairs.concatenate(positions.values())}
+    everything = {"single boxes": ScoredPairs.concatenate(positions.values())}
     return [
         PageFigure(
             "Error against range",

@@ -17,7 +17,7 @@ from sightline.evaluation.comparison import (
     percent,
     smallest,
 )
-from sightline.evaluation.metrics import Pairs
+from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, summarise
 
 
@@ -30,7 +30,7 @@ def report_off(**error_m: float) -> Report:
     sign = (-1.0) ** np.arange(n)
     return summarise(
         {
-            recording: Pairs(
+            recording: ScoredPairs(
                 time_utc_s=1_601_494_584.0 + np.arange(n),
                 east_m=error * sign,
                 north_m=np.full(n, 80.0),

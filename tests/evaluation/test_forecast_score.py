@@ -8,7 +8,7 @@ import pytest
 
 from sightline.errors import InputError
 from sightline.evaluation.forecast import forecast_errors, pair_forecasts
-from sightline.evaluation.metrics import Pairs
+from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, summarise
 from sightline.geodesy import LocalPlane
 from sightline.trajectory.forecast import MotionModel, MotionState
@@ -84,7 +84,7 @@ def test_nothing_to_compare_is_no_number() -> None:
 
 
 def test_a_report_tells_forecasts_where_there_are_any(tmp_path: Path) -> None:
-    plain = summarise(Pairs.concatenate([]))
+    plain = summarise(ScoredPairs.concatenate([]))
     assert "forecast" not in plain.to_dict()
     report = Report(**{**vars(plain), "forecast": forecast_errors([], (5.0, 10.0))})
     report.write(tmp_path / "report.json")

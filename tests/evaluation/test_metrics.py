@@ -12,7 +12,7 @@ from scipy.stats import binom, chi2
 
 from sightline.errors import InputError
 from sightline.evaluation.metrics import (
-    Pairs,
+    ScoredPairs,
     absolute_error,
     by_range,
     coverage,
@@ -34,9 +34,9 @@ START = 1_601_494_584.0
 
 def make_pairs(
     time_utc_s, east_m, north_m, true_east_m, true_north_m, *, covariance_m2=None, segment=None
-) -> Pairs:
+) -> ScoredPairs:
     n = np.size(time_utc_s)
-    return Pairs(
+    return ScoredPairs(
         time_utc_s=time_utc_s,
         east_m=east_m,
         north_m=north_m,
@@ -48,7 +48,7 @@ def make_pairs(
     )
 
 
-def random_pairs(n: int, seed: int = 0, *, step_s: float | None = 0.0625) -> Pairs:
+def random_pairs(n: int, seed: int = 0, *, step_s: float | None = 0.0625) -> ScoredPairs:
     """A wandering target and an estimate with noise; regular times are exact in binary."""
     rng = np.random.default_rng(seed)
     steps = rng.uniform(0.05, 2.0, n) if step_s is None else np.full(n, step_s)
@@ -66,7 +66,7 @@ def evo_path(time_utc_s, east_m, north_m) -> PoseTrajectory3D:
     )
 
 
-def evo_paths(pairs: Pairs) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
+def evo_paths(pairs: ScoredPairs) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
     return (
         evo_path(pairs.time_utc_s, pairs.true_east_m, pairs.true_north_m),
         evo_path(pairs.time_utc_s, pairs.east_m, pairs.north_m),
@@ -157,7 +157,7 @@ coordinates = st.floats(-500.0, 500.0, allow_nan=False)
 paths = st.lists(st.tuples(*[coordinates] * 4), min_size=3, max_size=12)
 
 
-def path_pairs(rows, turn_rad: float = 0.0, shift=(0.0, 0.0), offset=(0.0, 0.0)) -> Pairs:
+def path_pairs(rows, turn_rad: float = 0.0, shift=(0.0, 0.0), offset=(0.0, 0.0)) -> ScoredPairs:
     table = np.array(rows).reshape(-1, 2, 2)  # row, estimate or truth, axis
     turned = table @ np.array(
         [[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]]
@@ -203,7 +203,7 @@ def test_along_and_across_make_up_the_error(rows) -> None:
 def test_the_relative_error_never_crosses_from_one_segment_to_the_next() -> None:
     one = random_pairs(40, 1)
     other = random_pairs(40, 2)
-    both = Pairs.concatenate([one, other])
+    both = ScoredPairs.concatenate([one, other])
     expected = np.concatenate([relative_errors(one, 0.5), relative_errors(other, 0.5)])
     np.testing.assert_array_equal(np.sort(relative_errors(both, 0.5)), np.sort(expected))
 
@@ -253,7 +253,7 @@ def test_bias_along_is_too_far_and_across_is_clockwise() -> None:
     assert (found.rmse_along, found.rmse_across) == pytest.approx((10.0, 2.0))
 
 
-def gaussian_pairs(n: int, stated_scale: float, seed: int = 0) -> Pairs:
+def gaussian_pairs(n: int, stated_scale: float, seed: int = 0) -> ScoredPairs:
     """Errors drawn from covariances of any shape, stated ``stated_scale`` times as large."""
     rng = np.random.default_rng(seed)
     factor = rng.normal(0.0, 4.0, (n, 2, 2)) + 3.0 * np.eye(2)
@@ -347,7 +347,7 @@ def test_bins_of_range_hold_every_pair_once() -> None:
 
 
 def test_no_pairs_make_no_numbers() -> None:
-    nothing = Pairs.concatenate([])
+    nothing = ScoredPairs.concatenate([])
     assert absolute_error(nothing).n == relative_error(nothing).n == coverage(nothing).n == 0
     assert np.isnan(absolute_error(nothing).rmse)
     assert np.isnan(relative_error(nothing).rmse)
@@ -407,7 +407,7 @@ def test_a_track_is_paired_at_its_own_times() -> None:
 
 
 def test_tables_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match=r"Pairs.north_m has shape \(1,\), expected \(2,\)"):
+    with pytest.raises(InputError, match=r"ScoredPairs.north_m has shape \(1,\), expected \(2,\)"):
         make_pairs([0.0, 1.0], [0.0, 0.0], [0.0], [0.0, 0.0], [0.0, 0.0])
     with pytest.raises(InputError, match="true_east_m"):
         make_pairs([0.0], [0.0], [0.0], [np.nan], [0.0])

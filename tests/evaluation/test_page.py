@@ -11,7 +11,7 @@ import pytest
 
 from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
-from sightline.evaluation.metrics import Pairs, pair_positions
+from sightline.evaluation.metrics import ScoredPairs, pair_positions
 from sightline.evaluation.page import (
     ModelRow,
     OutlierRow,
@@ -100,7 +100,7 @@ def track(track_id: int = 1, *, error_m: float = 3.0, n: int = 100, label: str =
     )
 
 
-def boxes(times=None) -> Pairs:
+def boxes(times=None) -> ScoredPairs:
     times = START + np.arange(0.0, 59.0, 4.0) if times is None else times
     n = times.size
     positions = Positions(
@@ -302,7 +302,7 @@ def test_a_log_of_hours_is_drawn_only_beside_what_came_of_the_video() -> None:
         ReportPage("No log", "dock", PLANE, tracks={"07": [track()]}),
         ReportPage("Only a log", "dock", PLANE, fixes={"07": log()}),
         ReportPage(
-            "Nothing compared", "dock", PLANE, reports={"a": summarise(Pairs.concatenate([]))}
+            "Nothing compared", "dock", PLANE, reports={"a": summarise(ScoredPairs.concatenate([]))}
         ),
         ReportPage("No recordings", "dock", PLANE, reports={"a": summarise(boxes())}),
     ],
@@ -326,10 +326,10 @@ def test_the_page_is_written_whole_or_not_at_all(tmp_path) -> None:
         write_page(full_page(), tmp_path / "new")
 
 
-def errors(along_m, *, covariance=4.0, asked=None, without=0) -> Pairs:
+def errors(along_m, *, covariance=4.0, asked=None, without=0) -> ScoredPairs:
     along = np.asarray(along_m, dtype=float)
     n = along.size
-    return Pairs(
+    return ScoredPairs(
         time_utc_s=START + np.arange(n),
         east_m=np.zeros(n),
         north_m=100.0 + along,
@@ -372,7 +372,7 @@ def errors(along_m, *, covariance=4.0, asked=None, without=0) -> Pairs:
         ),
     ],
 )
-def test_the_report_speaks_plainly(pairs: Pairs, sentence: str) -> None:
+def test_the_report_speaks_plainly(pairs: ScoredPairs, sentence: str) -> None:
     said = plain_statements(summarise(pairs))
     assert any(sentence in one for one in said), said
 

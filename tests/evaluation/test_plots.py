@@ -11,7 +11,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
 from sightline.errors import InputError
-from sightline.evaluation.metrics import Pairs, covered
+from sightline.evaluation.metrics import ScoredPairs, covered
 from sightline.evaluation.plots import (
     MapPanel,
     calibration,
@@ -26,13 +26,13 @@ from sightline.evaluation.plots import (
 START = 1_601_494_584.0
 
 
-def pairs_along_a_line(times=None, *, stated: bool = True) -> Pairs:
+def pairs_along_a_line(times=None, *, stated: bool = True) -> ScoredPairs:
     times = START + np.arange(20.0) if times is None else np.asarray(times)
     n = times.size
     rng = np.random.default_rng(0)
     true = np.column_stack([np.linspace(-40.0, 60.0, n), np.full(n, 90.0)])
     estimate = true + rng.normal(0.0, 3.0, (n, 2))
-    return Pairs(
+    return ScoredPairs(
         time_utc_s=times,
         east_m=estimate[:, 0],
         north_m=estimate[:, 1],
@@ -93,7 +93,7 @@ def test_the_map_is_not_stretched_by_one_absurd_estimate() -> None:
     pairs = pairs_along_a_line()
     east = pairs.east_m.copy()
     east[3] = 1e6
-    off = Pairs(
+    off = ScoredPairs(
         pairs.time_utc_s,
         east,
         pairs.north_m,
@@ -133,7 +133,7 @@ def test_the_error_against_range_is_drawn_for_each_pair() -> None:
 
 
 def test_recordings_without_pairs_have_no_panel_over_time() -> None:
-    figure = error_over_time({"07": pairs_along_a_line(), "06": Pairs.concatenate([])})
+    figure = error_over_time({"07": pairs_along_a_line(), "06": ScoredPairs.concatenate([])})
     assert [axes.get_title(loc="left") for axes in figure.axes if axes.axison] == ["07"]
     assert picture_of(error_over_time({})).size > 0
 
@@ -141,7 +141,7 @@ def test_recordings_without_pairs_have_no_panel_over_time() -> None:
 def test_the_stated_band_is_that_along_the_line_of_sight() -> None:
     # A target due north: the band's half width is 1.96 times the standard deviation north, 3 m.
     n = 5
-    pairs = Pairs(
+    pairs = ScoredPairs(
         time_utc_s=START + np.arange(n),
         east_m=np.zeros(n),
         north_m=np.full(n, 50.0),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.evaluation.metrics import Pairs, absolute_error, pair_positions
+from sightline.evaluation.metrics import ScoredPairs, absolute_error, pair_positions
 from sightline.evaluation.report import (
     evaluate_positions,
     evaluate_tracks,
@@ -90,7 +90,7 @@ def test_the_json_has_the_keys_that_are_promised(tmp_path) -> None:
 
 def test_what_is_not_known_is_null(tmp_path) -> None:
     known = pair_positions(TIMES, positions_off(3.0), log_between(0, 60))
-    report = summarise({"12": known, "13": Pairs.concatenate([])})
+    report = summarise({"12": known, "13": ScoredPairs.concatenate([])})
     path = tmp_path / "report.json"
     report.write(path)
     text = path.read_text()
@@ -106,7 +106,7 @@ def test_what_is_not_known_is_null(tmp_path) -> None:
 
 
 def test_infinite_edges_of_ranges_are_null() -> None:
-    far = Pairs(
+    far = ScoredPairs(
         *([START], [20_000.0], [0.0], np.full((1, 2, 2), np.nan), [20_001.0], [0.0], [0]), asked=1
     )
     assert summarise(far).to_dict()["by_range"] == [
@@ -120,7 +120,7 @@ def test_pooled_numbers_are_those_of_all_pairs_together() -> None:
         "b": pair_positions(TIMES[:10], positions_off(7.0, TIMES[:10]), log_between(0, 60)),
     }
     report = summarise(parts)
-    assert report.ape == absolute_error(Pairs.concatenate(parts.values()))
+    assert report.ape == absolute_error(ScoredPairs.concatenate(parts.values()))
     assert report.ape.mse == pytest.approx((120 * 1.0 + 10 * 49.0) / 130, rel=1e-4)
     assert report.matched.asked == 130
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import InputError
-from sightline.evaluation.metrics import Pairs, absolute_error, coverage
+from sightline.evaluation.metrics import ScoredPairs, absolute_error, coverage
 from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
 from sightline.trajectory.forecast import HORIZONS_S, MotionState
 from sightline.types import Fixes, FloatArray
@@ -69,7 +69,7 @@ class ForecastPairs:
             for each pair; NaN where those are too old or too far apart.
     """
 
-    pairs: Pairs
+    pairs: ScoredPairs
     log_error_m: FloatArray
 
 
@@ -100,7 +100,7 @@ def pair_forecasts(
     keep = log.matched
     mean, covariance = states[keep].ahead(horizon_s).moments()
     true = np.stack([log.east_m, log.north_m], axis=1)[keep]
-    pairs = Pairs(
+    pairs = ScoredPairs(
         time_utc_s=then[keep],
         east_m=mean[:, 0],
         north_m=mean[:, 1],
@@ -153,7 +153,7 @@ def forecast_errors(
 
 
 def _error(parts: list[ForecastPairs]) -> ForecastError:
-    pairs = Pairs.concatenate(part.pairs for part in parts)
+    pairs = ScoredPairs.concatenate(part.pairs for part in parts)
     log_error = np.concatenate([part.log_error_m for part in parts] or [np.empty(0)])
     both = np.isfinite(log_error)
     error = absolute_error(pairs)

@@ -1,7 +1,7 @@
 """Errors of positions against a log: absolute, relative, by range, and beside what was stated.
 
-All of it acts on `Pairs`: positions and where the log says that the target was at the same times.
-The camera stands at the origin of the plane.
+All of it acts on `ScoredPairs`: positions and where the log says that the target was at the same
+times. The camera stands at the origin of the plane.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _SAME_TIME_S = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class ScoredPairs:
     """Positions beside the log's positions at the same times.
 
     Attributes:
@@ -76,7 +76,7 @@ class Pairs:
         for name in ("time_utc_s", "east_m", "north_m", "true_east_m", "true_north_m"):
             self._freeze(name, np.array(getattr(self, name), dtype=np.float64), (n,))
             if not np.isfinite(getattr(self, name)).all():
-                raise InputError(f"Pairs.{name} has a value that is no number")
+                raise InputError(f"ScoredPairs.{name} has a value that is no number")
         self._freeze("covariance_m2", np.array(self.covariance_m2, dtype=np.float64), (n, 2, 2))
         self._freeze("segment", np.array(self.segment, dtype=np.int64), (n,))
         eye_m = np.zeros((n, 2)) if self.eye_m is None else self.eye_m
@@ -88,7 +88,7 @@ class Pairs:
 
     def _freeze(self, name: str, array: Any, shape: tuple[int, ...]) -> None:
         if array.shape != shape:
-            raise InputError(f"Pairs.{name} has shape {array.shape}, expected {shape}")
+            raise InputError(f"ScoredPairs.{name} has shape {array.shape}, expected {shape}")
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
@@ -96,9 +96,9 @@ class Pairs:
         return int(self.time_utc_s.size)
 
     @classmethod
-    def concatenate(cls, tables: Iterable[Pairs]) -> Pairs:
+    def concatenate(cls, tables: Iterable[ScoredPairs]) -> ScoredPairs:
         """One table with the rows of all; no segment of one is a segment of another."""
-        parts: list[Pairs] = []
+        parts: list[ScoredPairs] = []
         first = 0
         for table in tables:
             names, segment = np.unique(table.segment, return_inverse=True)
@@ -119,7 +119,7 @@ class Pairs:
             without_position=sum(part.without_position for part in parts),
         )
 
-    def with_log_error(self) -> Pairs:
+    def with_log_error(self) -> ScoredPairs:
         """The same, with covariances that answer for the log's own error as well."""
         assert self.log_sigma_m is not None, "filled in where it is absent"
         of_log = np.square(self.log_sigma_m)[:, None, None] * np.eye(2)
@@ -155,7 +155,7 @@ def pair_positions(
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
     log_sigma_m: float = 0.0,
-) -> Pairs:
+) -> ScoredPairs:
     """Single positions beside a log, as one segment.
 
     Args:
@@ -174,7 +174,7 @@ def pair_positions(
         raise InputError(f"{len(positions)} positions need as many times, not {times.shape}")
     log = synchronise(fixes, times, positions.plane, largest_gap_s=largest_gap_s)
     keep = log.matched & positions.known
-    return Pairs(
+    return ScoredPairs(
         time_utc_s=times[keep],
         east_m=positions.east_m[keep],
         north_m=positions.north_m[keep],
@@ -200,7 +200,7 @@ def pair_track(
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
     log_sigma_m: float = 0.0,
-) -> Pairs:
+) -> ScoredPairs:
     """A track beside a log at the track's own times, as one segment.
 
     Args:
@@ -212,7 +212,7 @@ def pair_track(
     """
     log = synchronise(fixes, track.time_utc_s, track.plane, largest_gap_s=largest_gap_s)
     keep = log.matched
-    return Pairs(
+    return ScoredPairs(
         time_utc_s=track.time_utc_s[keep],
         east_m=track.east_m[keep],
         north_m=track.north_m[keep],
@@ -231,7 +231,7 @@ class AbsoluteError:
     """The absolute pose error of section 4.4, of positions (they have no orientation).
 
     Attributes:
-        n: Pairs compared.
+        n: ScoredPairs compared.
         rmse: Metres; NaN, as all others, where there is no pair.
         mse: Square metres.
         mean: Metres.
@@ -321,7 +321,7 @@ class RangeBin:
     Attributes:
         from_m: Metres, included.
         to_m: Metres, excluded; may be infinite.
-        n: Pairs.
+        n: ScoredPairs.
         rmse: Metres.
         median: Metres.
     """
@@ -333,7 +333,7 @@ class RangeBin:
     median: float
 
 
-def absolute_error(pairs: Pairs) -> AbsoluteError:
+def absolute_error(pairs: ScoredPairs) -> AbsoluteError:
     """Absolute pose error, equation of section 4.4: the mean over time of ``(x ⊖ x*)²``.
 
     Estimate and log share the plane, so nothing is aligned.
@@ -359,7 +359,7 @@ def absolute_error(pairs: Pairs) -> AbsoluteError:
 
 
 def relative_error(
-    pairs: Pairs, delta_s: float = DELTA_S, *, largest_gap_s: float = LARGEST_GAP_S
+    pairs: ScoredPairs, delta_s: float = DELTA_S, *, largest_gap_s: float = LARGEST_GAP_S
 ) -> RelativeError:
     """Relative pose error, section 4.4: how far movement over a time differs from the log's.
 
@@ -392,7 +392,7 @@ def relative_error(
 
 
 def relative_errors(
-    pairs: Pairs, delta_s: float = DELTA_S, *, largest_gap_s: float = LARGEST_GAP_S
+    pairs: ScoredPairs, delta_s: float = DELTA_S, *, largest_gap_s: float = LARGEST_GAP_S
 ) -> FloatArray:
     """The single relative errors that `relative_error` sums up: (M,) metres.
 
@@ -447,7 +447,7 @@ def _relative_in_segment(
     return size
 
 
-def mahalanobis_squared(pairs: Pairs) -> FloatArray:
+def mahalanobis_squared(pairs: ScoredPairs) -> FloatArray:
     """The squared distance from the estimate to the truth in units of the stated covariance.
 
     Returns:
@@ -468,7 +468,7 @@ def mahalanobis_squared(pairs: Pairs) -> FloatArray:
     return np.where(stated, np.where(proper, distance, certain), np.nan)
 
 
-def covered(pairs: Pairs, probability: ArrayLike) -> FloatArray:
+def covered(pairs: ScoredPairs, probability: ArrayLike) -> FloatArray:
     """The share of true positions inside the ellipses of one or more stated probabilities.
 
     Args:
@@ -487,7 +487,7 @@ def covered(pairs: Pairs, probability: ArrayLike) -> FloatArray:
     return np.searchsorted(stated, limit, side="right") / stated.size
 
 
-def coverage(pairs: Pairs) -> Coverage:
+def coverage(pairs: ScoredPairs) -> Coverage:
     """How often the truth lies inside the stated 50 % and 95 % ellipses."""
     assert pairs.log_sigma_m is not None, "filled in where it is absent"
     p50, p95 = covered(pairs, (0.5, 0.95))
@@ -503,7 +503,7 @@ def coverage(pairs: Pairs) -> Coverage:
     )
 
 
-def line_of_sight_errors(pairs: Pairs) -> tuple[FloatArray, FloatArray]:
+def line_of_sight_errors(pairs: ScoredPairs) -> tuple[FloatArray, FloatArray]:
     """The error along the line of sight to the true position (outward) and across it (clockwise).
 
     Returns:
@@ -519,7 +519,7 @@ def line_of_sight_errors(pairs: Pairs) -> tuple[FloatArray, FloatArray]:
     return np.where(away, along, np.nan), np.where(away, across, np.nan)
 
 
-def line_of_sight(pairs: Pairs) -> LineOfSight:
+def line_of_sight(pairs: ScoredPairs) -> LineOfSight:
     """Mean and root mean square of the error along and across the line of sight."""
     along, across = line_of_sight_errors(pairs)
     known = np.isfinite(along)
@@ -532,7 +532,7 @@ def line_of_sight(pairs: Pairs) -> LineOfSight:
     )
 
 
-def by_range(pairs: Pairs, edges_m: Sequence[float] = RANGE_EDGES_M) -> tuple[RangeBin, ...]:
+def by_range(pairs: ScoredPairs, edges_m: Sequence[float] = RANGE_EDGES_M) -> tuple[RangeBin, ...]:
     """The absolute error in bins of the true distance from the camera; empty bins are left out.
 
     Args:

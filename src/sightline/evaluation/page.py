@@ -24,7 +24,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from sightline.evaluation.comparison import Comparison, number, paper_rows, percent, smallest
-from sightline.evaluation.metrics import Pairs
+from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.plots import data_uri
 from sightline.evaluation.report import Matched, Report, TracksUsed, without_nan
 from sightline.formats.atomic import atomic_path
@@ -143,7 +143,7 @@ class ReportPage:
     reports: Mapping[str, Report] = field(default_factory=dict)
     tracks: Mapping[str, Sequence[Track]] = field(default_factory=dict)
     fixes: Mapping[str, Fixes] = field(default_factory=dict)
-    positions: Mapping[str, Pairs] = field(default_factory=dict)
+    positions: Mapping[str, ScoredPairs] = field(default_factory=dict)
     model_name: str = ""
     model: Sequence[ModelRow] = ()
     sources: Sequence[SourceRow] = ()
@@ -524,7 +524,7 @@ def _map(page: ReportPage) -> _Map | None:
 
 
 def _log_in(
-    page: ReportPage, name: str, tracks: Sequence[Track], pairs: Pairs | None
+    page: ReportPage, name: str, tracks: Sequence[Track], pairs: ScoredPairs | None
 ) -> tuple[FloatArray, FloatArray]:
     """Times and (N, 2) places of a recording's log, as long as there is something beside it."""
     fixes = page.fixes.get(name)
@@ -625,7 +625,7 @@ def _series(recording: str, track: Track, fixes: Fixes | None) -> dict[str, Any]
     }
 
 
-def _box_series(recording: str, pairs: Pairs) -> dict[str, Any]:
+def _box_series(recording: str, pairs: ScoredPairs) -> dict[str, Any]:
     shape = ellipses(pairs.covariance_m2, _PROBABILITY)
     return {
         "recording": recording,

@@ -27,7 +27,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
-from sightline.evaluation.metrics import Pairs, by_range, covered, line_of_sight_errors
+from sightline.evaluation.metrics import ScoredPairs, by_range, covered, line_of_sight_errors
 from sightline.formats.atomic import atomic_path
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.types import BoolArray, FloatArray, IntArray, ellipses
@@ -57,7 +57,7 @@ class MapPanel:
     """
 
     title: str
-    pairs: Pairs
+    pairs: ScoredPairs
     smooth: bool = False
 
 
@@ -110,7 +110,7 @@ def map_figure(panels: Sequence[MapPanel], *, probability: float = 0.95) -> Figu
     return figure
 
 
-def _extent(tables: Sequence[Pairs]) -> tuple[FloatArray, FloatArray]:
+def _extent(tables: Sequence[ScoredPairs]) -> tuple[FloatArray, FloatArray]:
     """The corners of the map: all of the truth, the camera, and estimates that are not absurd."""
     true = [np.column_stack([pairs.true_east_m, pairs.true_north_m]) for pairs in tables]
     core = np.concatenate([np.zeros((1, 2)), *true])
@@ -166,14 +166,14 @@ def _draw_map(axes: Axes, panel: MapPanel, probability: float) -> bool:
     return bool(chosen.size)
 
 
-def _stretches(pairs: Pairs) -> list[IntArray]:
+def _stretches(pairs: ScoredPairs) -> list[IntArray]:
     """Rows in the order of time, cut where the segment changes or time leaps."""
     order = np.lexsort((pairs.time_utc_s, pairs.segment))
     leap = (np.diff(pairs.segment[order]) != 0) | (np.diff(pairs.time_utc_s[order]) > LARGEST_GAP_S)
     return [rows for rows in np.split(order, np.flatnonzero(leap) + 1) if rows.size]
 
 
-def error_against_range(series: Mapping[str, Pairs]) -> Figure:
+def error_against_range(series: Mapping[str, ScoredPairs]) -> Figure:
     """The error against the true distance from the camera: each pair, and the median of each bin.
 
     Args:
@@ -235,11 +235,11 @@ def error_against_range(series: Mapping[str, Pairs]) -> Figure:
     return figure
 
 
-def _between(pairs: Pairs, from_m: float, to_m: float) -> BoolArray:
+def _between(pairs: ScoredPairs, from_m: float, to_m: float) -> BoolArray:
     return (pairs.true_range_m >= from_m) & (pairs.true_range_m < to_m)
 
 
-def calibration(series: Mapping[str, Pairs]) -> Figure:
+def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
     """Stated probabilities of ellipses against the share of true positions that they hold.
 
     On the diagonal the stated uncertainty is honest; below it too small, above it too large.
@@ -276,7 +276,7 @@ def calibration(series: Mapping[str, Pairs]) -> Figure:
     return figure
 
 
-def error_over_time(recordings: Mapping[str, Pairs], *, probability: float = 0.95) -> Figure:
+def error_over_time(recordings: Mapping[str, ScoredPairs], *, probability: float = 0.95) -> Figure:
     """The error along and across the line of sight against time, one panel a recording.
 
     Args:
@@ -296,7 +296,7 @@ def error_over_time(recordings: Mapping[str, Pairs], *, probability: float = 0.9
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
     if shown:
-        every = Pairs.concatenate(shown.values())
+        every = ScoredPairs.concatenate(shown.values())
         error = np.concatenate(
             [values[np.isfinite(values)] for values in line_of_sight_errors(every)]
         )
@@ -319,7 +319,7 @@ def error_over_time(recordings: Mapping[str, Pairs], *, probability: float = 0.9
     return figure
 
 
-def _draw_over_time(axes: Axes, pairs: Pairs, probability: float) -> None:
+def _draw_over_time(axes: Axes, pairs: ScoredPairs, probability: float) -> None:
     order = np.argsort(pairs.time_utc_s, kind="stable")
     times = pairs.time_utc_s[order] - pairs.time_utc_s[order[0]]
     along, across = (values[order] for values in line_of_sight_errors(pairs))
@@ -338,7 +338,7 @@ def _draw_over_time(axes: Axes, pairs: Pairs, probability: float) -> None:
             axes.plot(times, values, "o", color=colour, ms=4.0, mec="white", mew=0.4)
 
 
-def _stated_half_width_along(pairs: Pairs, probability: float) -> FloatArray:
+def _stated_half_width_along(pairs: ScoredPairs, probability: float) -> FloatArray:
     """Half the width of the interval along the line of sight that the covariance states."""
     distance = pairs.true_range_m
     unit = pairs.true_sight_m

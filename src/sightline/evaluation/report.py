@@ -19,9 +19,9 @@ from sightline.evaluation.metrics import (
     AbsoluteError,
     Coverage,
     LineOfSight,
-    Pairs,
     RangeBin,
     RelativeError,
+    ScoredPairs,
     absolute_error,
     by_range,
     coverage,
@@ -170,7 +170,7 @@ def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
 
 
 def summarise(
-    pairs: Pairs | Mapping[str, Pairs],
+    pairs: ScoredPairs | Mapping[str, ScoredPairs],
     *,
     delta_s: float = DELTA_S,
     largest_gap_s: float = LARGEST_GAP_S,
@@ -184,7 +184,7 @@ def summarise(
         largest_gap_s: The relative error interpolates no further.
         tracks: Which tracks the pairs come from, in the form of ``pairs``.
     """
-    if isinstance(pairs, Pairs):
+    if isinstance(pairs, ScoredPairs):
         used = tracks if isinstance(tracks, TracksUsed) else None
         return Report(
             ape=absolute_error(pairs),
@@ -197,7 +197,7 @@ def summarise(
         )
     each = tracks if isinstance(tracks, Mapping) else {}
     pooled = summarise(
-        Pairs.concatenate(pairs.values()),
+        ScoredPairs.concatenate(pairs.values()),
         delta_s=delta_s,
         largest_gap_s=largest_gap_s,
         tracks=_pool_tracks(each),
@@ -261,7 +261,7 @@ def evaluate_positions(
     names = np.asarray(recording, dtype=np.str_)
     if names.shape != times.shape:
         raise InputError(f"{times.size} positions need as many recordings, not {names.shape}")
-    parts: dict[str, Pairs] = {}
+    parts: dict[str, ScoredPairs] = {}
     logs: list[Fixes] = []
     for name in dict.fromkeys(names.tolist()):
         rows = names == name
@@ -269,7 +269,7 @@ def evaluate_positions(
         parts[name] = pair_positions(
             times[rows], positions[rows], logs[-1], largest_gap_s=largest_gap_s
         )
-    _refuse_nothing(Pairs.concatenate(parts.values()), times, logs, largest_gap_s)
+    _refuse_nothing(ScoredPairs.concatenate(parts.values()), times, logs, largest_gap_s)
     return summarise(parts, delta_s=delta_s, largest_gap_s=largest_gap_s)
 
 
@@ -310,7 +310,7 @@ def evaluate_tracks(
     if not everyone:
         raise InputError("there is no track to evaluate")
     wanted = _wanted(track_id, everyone)
-    parts: dict[str, Pairs] = {}
+    parts: dict[str, ScoredPairs] = {}
     used: dict[str, TracksUsed] = {}
     logs: list[Fixes] = []
     for name, group in groups.items():
@@ -324,7 +324,7 @@ def evaluate_tracks(
             where=_where(name),
         )
     times = np.concatenate([track.time_utc_s for track in everyone])
-    _refuse_nothing(Pairs.concatenate(parts.values()), times, logs, largest_gap_s)
+    _refuse_nothing(ScoredPairs.concatenate(parts.values()), times, logs, largest_gap_s)
     if not isinstance(tracks, Mapping):
         return summarise(parts[""], delta_s=delta_s, largest_gap_s=largest_gap_s, tracks=used[""])
     return summarise(parts, delta_s=delta_s, largest_gap_s=largest_gap_s, tracks=used)
@@ -340,7 +340,7 @@ def pair_target(
     platform: Platform | None = None,
     log_sigma_m: float = 0.0,
     where: str = "",
-) -> tuple[Pairs, TracksUsed]:
+) -> tuple[ScoredPairs, TracksUsed]:
     """The pairs of a log and those tracks that are its target; see `evaluate_tracks`.
 
     Args:
@@ -359,7 +359,7 @@ def pair_target(
     Raises:
         InputError: Two tracks have the same id.
     """
-    paired: dict[int, Pairs] = {}
+    paired: dict[int, ScoredPairs] = {}
     for track in tracks:
         if track.track_id in paired:
             raise InputError(
@@ -379,7 +379,7 @@ def pair_target(
         chosen = _nearest(overlapping, least_overlap_s)
         chosen += _continued(chosen, overlapping)
         by = "smallest median error"
-    pairs = Pairs.concatenate(paired[number] for number in chosen)
+    pairs = ScoredPairs.concatenate(paired[number] for number in chosen)
     return pairs, TracksUsed(tuple(chosen), len(overlapping), by)
 
 
@@ -400,7 +400,7 @@ def _wanted(track_id: int | Iterable[int] | None, tracks: list[Track]) -> set[in
     return wanted
 
 
-def _nearest(candidates: Mapping[int, Pairs], least_overlap_s: float) -> list[int]:
+def _nearest(candidates: Mapping[int, ScoredPairs], least_overlap_s: float) -> list[int]:
     if not candidates:
         return []
     overlap = {number: float(np.ptp(pairs.time_utc_s)) for number, pairs in candidates.items()}
@@ -413,12 +413,12 @@ def _nearest(candidates: Mapping[int, Pairs], least_overlap_s: float) -> list[in
     return [min(long_enough, key=lambda number: float(np.median(candidates[number].error_m)))]
 
 
-def _agrees(pairs: Pairs) -> bool:
+def _agrees(pairs: ScoredPairs) -> bool:
     """Whether the log lies within the ellipses of a track for most of its time."""
     return bool(coverage(pairs).p95 > 0.5)
 
 
-def _continued(chosen: list[int], candidates: Mapping[int, Pairs]) -> list[int]:
+def _continued(chosen: list[int], candidates: Mapping[int, ScoredPairs]) -> list[int]:
     """Further tracks of the same target: seen while the chosen were not, and as near to the log.
 
     A target that left the picture, or was hidden for long, comes back under another number. What
@@ -457,7 +457,10 @@ def _where(name: str) -> str:
 
 
 def _refuse_nothing(
-    pairs: Pairs, times: np.ndarray[Any, np.dtype[np.float64]], logs: list[Fixes], gap_s: float
+    pairs: ScoredPairs,
+    times: np.ndarray[Any, np.dtype[np.float64]],
+    logs: list[Fixes],
+    gap_s: float,
 ) -> None:
     """Say why nothing could be compared, where nothing could."""
     if len(pairs):

@@ -12,8 +12,7 @@ from sightline.detection import Progress
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.forecast import forecast_errors
-from sightline.evaluation.metrics import Pairs as ScoredPairs
-from sightline.evaluation.metrics import pair_positions, pair_track
+from sightline.evaluation.metrics import ScoredPairs, pair_positions, pair_track
 from sightline.evaluation.report import Report, evaluate_tracks, summarise
 from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer, fit
 from sightline.inference.levelling import scene_horizons

@@ -10,7 +10,7 @@ import numpy as np
 from sightline.association.teach import fit_scene
 from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
 from sightline.errors import FitError
-from sightline.evaluation.metrics import Pairs as ScoredPairs
+from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
 from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer
 from sightline.inference.levelling import scene_horizons
