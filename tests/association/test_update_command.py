@@ -1,5 +1,7 @@
 """`sightline fit --update`, and what it refuses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -66,3 +68,36 @@ def test_models_that_cannot_be_updated_are_refused_in_one_line_and_nothing_is_wr
     run = CliRunner().invoke(app, ["fit", str(path), "--detector", "owl", "-o", str(out)])
     assert isinstance(run.exception, InputError)
     assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def bay(data_dir):
+    """The real scene, and a model of its camera as it lay after it was knocked in recording 08."""
+    scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
+    return scene, fit_scene(scene.select(["09", "10", "13", "15", "17"]), "camera")
+
+
+def test_pictures_tell_a_tenth_of_a_degree_of_roll_between_two_days(bay):
+    scene, after = bay
+    before = update_scene(scene.select(["07"]), after)
+    said = before.report.statements[0]
+    assert said.startswith("The camera was turned: in recording 07, by its pictures, from its")
+    roll_deg = float(said.split(" in roll")[0].split(" ± ")[-2].split()[-1])
+    assert roll_deg == pytest.approx(-0.1, abs=0.03)
+    same = update_scene(scene.select(["21"]), after)
+    assert same.report.statements[0] == (
+        "The camera stands as it did when the old model was fitted, as far as the pictures tell."
+    )
+
+
+def test_boxes_that_contradict_pictures_are_told_of(bay, tmp_path):
+    """Boxes of a turned camera beside pictures of one that was not."""
+    scene, after = bay
+    recording = scene["21"]
+    boxes = recording.boxes()
+    corners = boxes.xyxy_px + np.array([0.0, 12.0, 0.0, 12.0])
+    write_boxes(boxes.with_columns(xyxy_px=corners), tmp_path / "b.csv")
+    lowered = replace(scene, recordings=(replace(recording, boxes_path=tmp_path / "b.csv"),))
+    said = update_scene(lowered, after).report.statements[0]
+    assert said.startswith("The boxes of recording 21 lie as if the camera were turned by")
+    assert "raised, lowered or put elsewhere" in said

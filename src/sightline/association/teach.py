@@ -33,7 +33,8 @@ from sightline.inference.georeferencer import (
     fit_pairs,
 )
 from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
-from sightline.inference.update import moved_since, prior_of
+from sightline.inference.turning import scene_stances
+from sightline.inference.update import lies_since, prior_of
 from sightline.scene import Recording, Scene, check_overlap
 from sightline.types import Boxes, FloatArray, IntArray
 
@@ -99,7 +100,7 @@ def fit_scene(
         r.fixes_path and (r.detections_path or (looks and r.source)) for r in scene.recordings
     )
     if drawn or not able:
-        return fit(scene, model, seed=seed, extra=extra)
+        return fit(scene, model, seed=seed, extra=extra, progress=progress)
     if seen is None and detector is not None:
         seen = SceneDetections(scene, detector, progress, stills=True)
     association = associate_scene(
@@ -317,9 +318,9 @@ def update_scene(
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
-    turns = moved_since(old, pairs)
+    now = lies_since(old, pairs, scene_stances(scene, progress))
     prior = replace(
-        prior_of(old, turned=bool(turns)),
+        prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,
         bias_px_sigma=usual.bias_px_sigma,
         unseen_px=usual.unseen_px,
@@ -336,13 +337,7 @@ def update_scene(
         landmarks=landmarks,
         beliefs=beliefs,
     )
-    said = [
-        f"The camera was turned: from recording {turn.recording} on by {turn.heading_deg:+.2f} "
-        f"degrees in heading, {turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll "
-        f"against the old model ({turn.gain:.0f} nats)."
-        for turn in turns
-    ] or ["The camera stands as it did when the old model was fitted, as far as the boxes tell."]
-    statements = (*said, *more, *fitted.report.statements)
+    statements = (*now.statements, *more, *fitted.report.statements)
     return replace(fitted, report=replace(fitted.report, statements=statements))
 
 

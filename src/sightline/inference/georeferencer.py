@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.detection.camera_motion import Stance, View
+from sightline.detection.looking import Progress
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
@@ -298,6 +299,7 @@ def fit(
     *,
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
+    progress: Progress | None = None,
 ) -> Georeferencer:
     """Learn a georeferencer from a scene.
 
@@ -307,6 +309,7 @@ def fit(
         seed: Of whatever is random in the fit.
         extra: Further boxes of the logged target, from another source, by recording: so that the
             habits of a detector are learned beside those of an annotator.
+        progress: Told which recording's pictures are looked at.
 
     Raises:
         InputError: The model's name is not known, or a file of the scene cannot be used.
@@ -343,6 +346,7 @@ def fit(
             position_known=position_known,
             image_size_px=scene.image_size_px,
             seed=seed,
+            progress=progress,
         )
         return replace(fitted, horizon_px=reference, moving=moving)
 
@@ -399,6 +403,7 @@ def fit_pairs(
     prior: CameraPrior | None = None,
     landmarks: Landmarks | None = None,
     beliefs: Mapping[str, SourceBelief] | None = None,
+    progress: Progress | None = None,
 ) -> Georeferencer:
     """Learn a georeferencer from pairs, control points and landmarks; see `fit`.
 
@@ -422,7 +427,7 @@ def fit_pairs(
 
     fitted = learn(pairs)
     camera = fitted.camera
-    stances = {} if camera is None else scene_stances(scene)
+    stances = {} if camera is None else scene_stances(scene, progress)
     view = reference_view(stances)
     if camera is None or view is None:
         return fitted

@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from sightline.detection.camera_motion import Displacement, Stance, View, displacement
+from sightline.detection.looking import Progress
 from sightline.detection.stances import least_turn_deg, recording_stances
 from sightline.inference.camera import Camera
 from sightline.scene import Scene
@@ -303,11 +304,21 @@ def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatA
     )
 
 
-def scene_stances(scene: Scene) -> dict[str, tuple[Stance, ...]]:
-    """`recording_stances` of all recordings of a scene in which it is asked for."""
+def scene_stances(scene: Scene, progress: Progress | None = None) -> dict[str, tuple[Stance, ...]]:
+    """`recording_stances` of all recordings of a scene in which it is asked for.
+
+    Args:
+        scene: Its recordings' pictures.
+        progress: Told what is being looked at: a long video takes long.
+    """
     if scene.moves or not scene.camera.watched:
         return {}
-    found = {recording.name: recording_stances(recording) for recording in scene.recordings}
+    found = {}
+    for i, recording in enumerate(scene.recordings):
+        if progress is not None:
+            what = f"looking at the pictures of {recording.name}"
+            progress(what, i / len(scene.recordings))
+        found[recording.name] = recording_stances(recording)
     return {name: stances for name, stances in found.items() if stances}
 
 

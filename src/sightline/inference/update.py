@@ -1,5 +1,7 @@
-"""Whether a camera still stands as it did when its model was fitted, told by boxes and a log.
+"""Whether a camera still stands as it did when its model was fitted.
 
+Where pictures show what the model's view shows, they tell; see `sightline.inference.turning`.
+Elsewhere boxes and a log do.
 A camera that was bumped shows as a shift of all that it sees: columns say by how much its heading
 changed, rows its pitch, and their slope across the picture its roll. The shift is estimated against
 the model, with the model's noise, and again over time (a likelihood ratio over all moments at which
@@ -8,15 +10,18 @@ it may have happened; Page 1954, Hinkley 1970).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sightline.detection.camera_motion import Stance
 from sightline.errors import InputError
 from sightline.inference.camera import project_with_jacobian
 from sightline.inference.camera_fit import CameraPrior
 from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.pairs import Pairs
+from sightline.inference.turning import seen_again
 from sightline.types import FloatArray
 
 _TURNS = (3, 1, 2)
@@ -50,6 +55,27 @@ class Moved:
     sigma_deg: tuple[float, float, float]
     gain: float
 
+    @property
+    def angles(self) -> str:
+        """The three in words."""
+        return (
+            f"{self.heading_deg:+.2f} degrees in heading, {self.pitch_deg:+.2f} in pitch and "
+            f"{self.roll_deg:+.2f} in roll"
+        )
+
+
+@dataclass(frozen=True)
+class Since:
+    """What a new day says of how the camera of a model lies now.
+
+    Attributes:
+        turned: Whether it no longer lies as for the model.
+        statements: What is known of it, in words.
+    """
+
+    turned: bool
+    statements: tuple[str, ...]
+
 
 def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> CameraPrior:
     """What a model believes of its camera, as beliefs before a new day.
@@ -78,6 +104,60 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
         return prior
     pitch, roll = np.degrees(sigma[1:3]).tolist()
     return replace(prior, pitch_deg=(camera.pitch_deg, pitch), roll_deg=(camera.roll_deg, roll))
+
+
+def lies_since(
+    model: Georeferencer, pairs: Pairs, stances: Mapping[str, Sequence[Stance]]
+) -> Since:
+    """Whether a camera was turned since its model was fitted.
+
+    Pictures tell it where they show what the model's view shows, to some hundredths of a degree;
+    boxes and the log tell it elsewhere.
+
+    Args:
+        model: With a camera.
+        pairs: Boxes and places of a new day, in the model's plane.
+        stances: How the camera stood in the new day's recordings, by their names.
+
+    Raises:
+        InputError: The model has no camera.
+    """
+    by_boxes = {moved.recording: moved for moved in moved_since(model, pairs)}
+    camera, view = model.camera, model.view
+    assert camera is not None, "refused by `moved_since`"
+    seen = {
+        name: own
+        for name, own in stances.items()
+        if own and view is not None and seen_again(view, own[0].view, camera)
+    }
+    said = []
+    by_pictures = False
+    for name, own in seen.items():
+        turns = model.turns(own)
+        if turns is not None:
+            by_pictures = True
+            said.append(
+                f"The camera was turned: in recording {name}, by its pictures, "
+                f"{' '.join(turns.sentences())}"
+            )
+    for name, moved in by_boxes.items():
+        if name not in seen:
+            said.append(
+                f"The camera was turned: from recording {name} on by {moved.angles} against the "
+                f"old model, by its boxes ({moved.gain:.0f} nats)."
+            )
+        elif model.turns(seen[name]) is None:
+            said.append(
+                f"The boxes of recording {name} lie as if the camera were turned by "
+                f"{moved.angles}, and its pictures show that it is not: it may have been raised, "
+                "lowered or put elsewhere, or the log is off."
+            )
+    if not said:
+        what = "pictures" if seen else "boxes"
+        said = [
+            f"The camera stands as it did when the old model was fitted, as far as the {what} tell."
+        ]
+    return Since(turned=by_pictures or bool(by_boxes), statements=tuple(said))
 
 
 def moved_since(model: Georeferencer, pairs: Pairs, *, alike_s: float = 2.0) -> tuple[Moved, ...]:
