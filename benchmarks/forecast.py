@@ -23,7 +23,6 @@ from _recordings import challenge_scene
 from sightline.evaluation.forecast import ForecastError, forecast_errors
 from sightline.inference.georeferencer import DEFAULT_MODEL
 from sightline.pipeline import Placed, leave_one_out, place_boxes, score, with_forecasts
-from sightline.pipeline.tracking import locate
 from sightline.scene import Scene
 from sightline.synchronisation import synchronise
 from sightline.trajectory.forecast import MotionModel, MotionState, follow
@@ -91,7 +90,7 @@ def main() -> None:
             print(f"{one.recording:>6s}  {motion}")
         targets = []
         for one, motion in zip(placed, motions, strict=True):
-            places = locate(one.boxes, one.model, one.turns)
+            places = one.conditions.locate(one.boxes, one.model)
             targets.append((follow(one.boxes.time_utc_s, places, motion), one.fixes))
         pooled("all", targets)
         return

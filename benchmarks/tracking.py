@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,9 @@ from harbour_crowd import RATE_HZ, Crowd, crowd, learned
 from sightline.evaluation.tracking import score_tracking
 from sightline.geodesy import LocalPlane
 from sightline.overlap import iou
+from sightline.pipeline.conditions import Conditions
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
-from sightline.types import Boxes, FloatArray, Positions, StrArray
+from sightline.types import Boxes, Positions
 
 COLUMNS = ("hota", "deta", "assa", "idf1", "tracks")
 
@@ -116,7 +118,9 @@ def quality(seeds: range) -> None:
         model = learned(scene, seed)
         found = {name: theirs(make, scene) for name, make in beside.items()}
         found["sightline, image"] = ours(ImageTracker(), scene)
-        found["sightline, world"] = ours(WorldTracker(model.locate), scene)
+        found["sightline, world"] = ours(
+            WorldTracker(partial(Conditions().locate, model=model)), scene
+        )
         for name, boxes in found.items():
             score = score_tracking(scene.truth, boxes)
             rows.setdefault(name, []).append([float(getattr(score, c)) for c in COLUMNS])
@@ -136,8 +140,9 @@ def quality(seeds: range) -> None:
         print(f"largest difference from TrackEval's figures: {worst:.1e}")
 
 
-def _flat_sea(boxes: FloatArray, _source: StrArray) -> Positions:
+def _flat_sea(seen: Boxes) -> Positions:
     """A level camera at 30 m with a focal length of 1500 px, horizon at row 300."""
+    boxes = seen.xyxy_px
     down = np.maximum(boxes[:, 3] - 300.0, 1.0)
     north = 30.0 * 1500.0 / down
     east = north * (0.5 * (boxes[:, 0] + boxes[:, 2]) - 1920.0) / 1500.0

@@ -35,7 +35,12 @@ class FromAbove:
     def level(self, boxes: Boxes, _horizons: None) -> Boxes:
         return boxes
 
-    def locate(self, boxes_xyxy_px: ArrayLike, _source: ArrayLike) -> Positions:
+    def check_water(self, given: bool) -> None:
+        assert not given
+
+    def locate(
+        self, boxes_xyxy_px: ArrayLike, _source: ArrayLike, _water_level_m: None
+    ) -> Positions:
         boxes = np.asarray(boxes_xyxy_px, dtype=float)
         n = len(boxes)
         return Positions(

@@ -53,6 +53,9 @@ class Fitted:
     def level(self, boxes: Boxes, _horizons: None) -> Boxes:
         return boxes
 
+    def check_water(self, given: bool, _where: str = "") -> None:
+        assert not given
+
     def turns(self, stances: Sequence[Stance]) -> Turns | None:
         return None if self.camera is None else Turns.of(stances, self.camera, self.view)
 

@@ -24,6 +24,7 @@ from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.types import NO_FRAME, Boxes, ControlPoints, Fixes, FloatArray, Frame, Horizons
+from sightline.water import WaterLevels
 
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
@@ -60,6 +61,8 @@ class _RecordingTable(_Table):
     mmsi: int | None = None
     platform: str | None = None
     horizon: str | None = None
+    water_level_m: float | None = None
+    water_levels: str | None = None
 
     @field_validator("name")
     @classmethod
@@ -79,7 +82,11 @@ class _RecordingTable(_Table):
 
     @model_validator(mode="after")
     def _one_of_each(self) -> Self:
-        for one, other in (("video", "frames"), ("start_utc", "clock")):
+        for one, other in (
+            ("video", "frames"),
+            ("start_utc", "clock"),
+            ("water_level_m", "water_levels"),
+        ):
             if getattr(self, one) is not None and getattr(self, other) is not None:
                 raise ValueError(f"give {one} or {other}, not both")
         if self.start_utc is not None and self.video is None:
@@ -88,6 +95,8 @@ class _RecordingTable(_Table):
             )
         if self.mmsi is not None and self.fixes is None:
             raise ValueError("mmsi chooses a vessel of the log that fixes names; give fixes")
+        if self.platform is not None and (self.water_level_m is not None or self.water_levels):
+            raise ValueError("a platform floats with the water; leave its level away")
         if self.frames is None and self.video is None and not (self.boxes or self.detections):
             raise ValueError("give a video, frames, boxes or detections; there is nothing to see")
         return self
@@ -119,7 +128,17 @@ _TABLES: dict[str, type[_Table]] = {
 }
 
 
-_FILES = ("video", "frames", "clock", "boxes", "detections", "fixes", "platform", "horizon")
+_FILES = (
+    "video",
+    "frames",
+    "clock",
+    "boxes",
+    "detections",
+    "fixes",
+    "platform",
+    "horizon",
+    "water_levels",
+)
 
 
 @dataclass(frozen=True)
@@ -157,6 +176,8 @@ class Recording:
         mmsi: Which vessel of an AIS log, or None.
         platform_path: The log of what the camera stands on, where that moves, or None.
         horizon_path: Where the horizon lies in each frame, or None.
+        water_level_m: How high the water stood above the datum, or None.
+        water_levels_path: A table of how high it stood, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
     """
 
@@ -171,6 +192,8 @@ class Recording:
     mmsi: int | None = None
     platform_path: Path | None = None
     horizon_path: Path | None = None
+    water_level_m: float | None = None
+    water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
 
     @property
@@ -242,6 +265,18 @@ class Recording:
         if self.platform_path is None:
             return None
         return _platform(self.platform_path, self.platform_path.stat().st_mtime_ns)
+
+    def water_levels(self) -> WaterLevels | None:
+        """How high the water stood; None where nobody says.
+
+        Raises:
+            InputError: The table cannot be used.
+        """
+        if self.water_level_m is not None:
+            return WaterLevels.constant(self.water_level_m)
+        if self.water_levels_path is None:
+            return None
+        return _water(self.water_levels_path, self.water_levels_path.stat().st_mtime_ns)
 
     def horizons(self) -> Horizons | None:
         """Where the horizon lies in the frames, as its table says; None where there is no table.
@@ -374,6 +409,26 @@ class Scene:
         return any(moving)
 
     @property
+    def tidal(self) -> bool:
+        """Whether the recordings say how high the water stood.
+
+        Raises:
+            InputError: Some do and some do not: then nobody knows what height that of the camera
+                is.
+        """
+        told = [
+            recording.water_level_m is not None or recording.water_levels_path is not None
+            for recording in self.recordings
+        ]
+        if any(told) and not all(told):
+            name = self.recordings[told.index(False)].name
+            raise InputError(
+                f"{self.path}: recording {name} has no water level, and others have; give "
+                "water_level_m or water_levels to all recordings, or to none"
+            )
+        return any(told)
+
+    @property
     def image_size_px(self) -> tuple[int, int]:
         """Width and height of the picture: as the scene file says, or of the first frame.
 
@@ -485,6 +540,11 @@ def _platform(path: Path, _modified_ns: int) -> Platform:
     return Platform(formats.read_fixes(path), formats.read_headings(path))
 
 
+@lru_cache(maxsize=32)
+def _water(path: Path, _modified_ns: int) -> WaterLevels:
+    return formats.read_water_levels(path)
+
+
 @lru_cache(maxsize=8)
 def _feed(path: Path, _modified_ns: int) -> tuple[formats.AisVessel, ...]:
     return tuple(formats.read_ais_feed(path).values())
@@ -566,6 +626,7 @@ def _recording(
         name=table.name,
         start_utc_s=None if start is None else start.timestamp(),
         mmsi=table.mmsi,
+        water_level_m=table.water_level_m,
         image_size_px=image_size_px,
         **paths,
     )

@@ -14,13 +14,14 @@ from sightline.tracking import (
     WorldTracker,
     WorldTrackerSettings,
 )
-from sightline.types import Boxes, FloatArray, Positions, StrArray
+from sightline.types import Boxes, FloatArray, Positions
 
 HEIGHT_M, FOCAL_PX, HORIZON_PX, CENTRE_PX = 6.0, 1000.0, 200.0, 640.0
 
 
-def locate(boxes: FloatArray, _source: StrArray) -> Positions:
+def locate(seen: Boxes) -> Positions:
     """A level camera, and edges good to a pixel; nothing above the horizon has a place."""
+    boxes = seen.xyxy_px
     down = boxes[:, 3] - HORIZON_PX
     known = down > 3.0
     down = np.where(known, down, np.nan)

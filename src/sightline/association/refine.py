@@ -219,8 +219,9 @@ class Refiner:
             vessels.append(np.full(known.size, v))
             rows.append(known)
         place = np.concatenate([np.empty((0, 2)), *places])
+        above = np.concatenate([np.empty(0), *(watch.above_m[known] for known in rows)])
         pixel, by_parameter, by_point = project_with_jacobian(
-            vector, self.image_size_px, place[:, 0], place[:, 1], 0.0
+            vector, self.image_size_px, place[:, 0], place[:, 1], above
         )
         speed, untold = np.concatenate([np.empty((0, 2)), *speeds]), np.concatenate([[], *sigmas])
         slant2 = np.sum((place - vector[7:9]) ** 2, axis=1) + np.exp(2.0 * vector[0])

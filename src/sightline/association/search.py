@@ -10,7 +10,7 @@ vessels and recordings vote for the one camera. (Ballard 1981, "Generalizing the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +49,18 @@ class Watch:
         name: Of the recording.
         seen: The observations.
         paths: The logs.
+        above_m: (N,) float64, how high the water stood at each observation above its middle over
+            all recordings. The votes leave it out: what they find is refined. Absent: at it.
     """
 
     name: str
     seen: Observations
     paths: tuple[LoggedPath, ...]
+    above_m: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if self.above_m.size == 0:
+            object.__setattr__(self, "above_m", np.zeros(len(self.seen)))
 
 
 @dataclass(frozen=True, eq=False)

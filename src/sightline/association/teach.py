@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,7 @@ from sightline.inference.georeferencer import (
     fit,
     fit_pairs,
 )
-from sightline.inference.pairs import Landmarks, Pairs, scene_pairs
+from sightline.inference.pairs import Landmarks, Pairs, levels_at, scene_pairs
 from sightline.inference.turning import scene_stances
 from sightline.inference.update import lies_since, prior_of
 from sightline.scene import Recording, Scene, check_overlap
@@ -181,11 +181,22 @@ def associate_scene(
             f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
             "was; nobody can be recognised"
         )
+    if scene.tidal:
+        watches = _over_water(watches, scene)
     tell("recognising the logged vessels", float("nan"))
     try:
         return associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s)
     except FitError as error:
         raise FitError(f"{scene.path}: {error}") from error
+
+
+def _over_water(watches: Sequence[Watch], scene: Scene) -> list[Watch]:
+    """Watches that know how high the water stood, above its middle over all of them."""
+    levels = [levels_at(scene[watch.name], watch.seen.time_utc_s) for watch in watches]
+    middle_m = float(np.median(np.concatenate(levels)))
+    return [
+        replace(watch, above_m=own - middle_m) for watch, own in zip(watches, levels, strict=True)
+    ]
 
 
 def fit_association(
@@ -213,7 +224,7 @@ def fit_association(
     plane = scene.plane
     assert plane is not None, "association needs the camera's place"
     landmarks = scene_landmarks(scene, association, seen)
-    pairs = recognised_pairs(association, plane)
+    pairs = recognised_pairs(association, plane, scene)
     beliefs = _measured(pairs, association.camera, lower_edges)
     fitted = fit_pairs(
         pairs,
@@ -289,6 +300,7 @@ def update_scene(
             f"{scene.path}: its pictures have {scene.image_size_px} px, the model learned from "
             f"{old.image_size_px} px; fit anew"
         )
+    old.check_water(scene.tidal, f"{scene.path}: ")
     landmarks = Landmarks.none()
     beliefs: dict[str, SourceBelief] = {}
     more: tuple[str, ...] = ()
@@ -313,7 +325,7 @@ def update_scene(
             largest_offset_s=largest_offset_s,
             progress=progress,
         )
-        pairs = recognised_pairs(association, old.plane)
+        pairs = recognised_pairs(association, old.plane, scene)
         landmarks = scene_landmarks(scene, association, seen)
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
@@ -336,14 +348,15 @@ def update_scene(
         prior=prior,
         landmarks=landmarks,
         beliefs=beliefs,
+        water_level_m=old.water_level_m,
     )
     statements = (*now.statements, *more, *fitted.report.statements)
     return replace(fitted, report=replace(fitted.report, statements=statements))
 
 
-def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
+def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) -> Pairs:
     """Boxes that were recognised, thinned, with the places of their vessels."""
-    boxes, names, vessels, places, velocities = [], [], [], [], []
+    boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
         watch = by_name[found.recording]
@@ -357,6 +370,8 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
         vessels.append(np.full(int(known.sum()), found.vessel))
         places.append(at.east_north_m[known])
         velocities.append(at.velocity_mps[known])
+        if scene.tidal:
+            levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
     return Pairs(
         boxes=Boxes.concatenate(boxes),
         recording=np.concatenate(names),
@@ -365,6 +380,7 @@ def recognised_pairs(association: Association, plane: LocalPlane) -> Pairs:
         asked=sum(map(len, boxes)),
         plane=plane,
         vessel=np.concatenate(vessels),
+        water_level_m=np.concatenate([np.empty(0), *levels]),
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 
 from sightline.errors import InputError, unknown_name
 
@@ -169,3 +171,23 @@ def parse_value(text: str) -> OptionValue:
         except ValueError:
             continue
     return text
+
+
+def parse_water_level(text: str | None) -> float | Path | None:
+    """A level in metres, or the file of a table of levels.
+
+    Args:
+        text: What was given; None: nothing.
+
+    Raises:
+        InputError: It is a number that no level can have.
+    """
+    if text is None:
+        return None
+    try:
+        level_m = float(text)
+    except ValueError:
+        return Path(text)
+    if not math.isfinite(level_m):
+        raise InputError(f"--water-level {text}: is no level; give metres, or a table")
+    return level_m

@@ -25,7 +25,7 @@ from sightline.cli.options import (
     StartOption,
     TrajectoryOption,
 )
-from sightline.cli.parsing import parse_time
+from sightline.cli.parsing import parse_time, parse_water_level
 from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
 from sightline.inference.model_file import load_model
@@ -68,6 +68,14 @@ def track(
             metavar="FILE", help="For a table of boxes: frame,left_y_px,right_y_px of the horizon."
         ),
     ] = None,
+    water_level: Annotated[
+        str | None,
+        typer.Option(
+            metavar="METRES|FILE",
+            help="How high the water stands above the datum of the model's scene; or a table, "
+            "time_utc,water_level_m.",
+        ),
+    ] = None,
     detector: DetectorOption = DEFAULT_DETECTOR,
     trajectory: TrajectoryOption = DEFAULT_TRAJECTORY,
     interval_s: IntervalOption = None,
@@ -89,7 +97,9 @@ def track(
     """Make smooth tracks of everything in a video, a stream or a table of boxes."""
     output = [*output, *(more or [])]
     ahead = [] if forecast_s is None else [_forecast_path(path) for path in output]
-    keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon])
+    water = parse_water_level(water_level)
+    table = water if isinstance(water, Path) else None
+    keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon, table])
     fitted = load_model(model)
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video, folder or table")
@@ -123,6 +133,7 @@ def track(
             start_utc_s=parse_time("--start-utc", start_utc),
             platform=platform,
             horizons=horizons,
+            water_levels=water,
             settings=settings,
             progress=tell,
             forecasts=foretell if prophets else None,

@@ -32,6 +32,7 @@ from sightline.formats.mot import iter_mot, mot_box_writer, write_mot
 from sightline.formats.nmea import read_nmea
 from sightline.formats.parquet import parquet_track_writer, read_parquet_table
 from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
+from sightline.formats.water_levels import read_water_levels
 from sightline.geodesy import LocalPlane
 from sightline.types import Boxes, Fixes, Track
 
@@ -52,6 +53,7 @@ __all__ = [
     "read_headings",
     "read_horizons_csv",
     "read_tracks",
+    "read_water_levels",
     "track_table",
     "track_writer",
     "write_boxes",

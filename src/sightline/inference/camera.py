@@ -430,7 +430,7 @@ class Located:
 
 
 def locate_with_jacobian(
-    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: float, beyond_m: float
+    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: Numbers, beyond_m: float
 ) -> Located:
     """Places of pixels and their derivatives: `Camera.locate`, for the propagation of uncertainty.
 
@@ -441,7 +441,7 @@ def locate_with_jacobian(
         camera: The camera.
         x_px: (N,) columns.
         y_px: (N,) rows.
-        above_m: Metres of the plane over the ground.
+        above_m: Metres of the plane over the ground, (N,) or one number.
         beyond_m: How much further from the camera the place lies than where the ray meets the
             plane.
     """
@@ -472,7 +472,7 @@ def _derive(
     x: Numbers,
     y: Numbers,
     down: Numbers,
-    above_m: float,
+    above_m: Numbers,
     beyond_m: float,
     sqrt: Callable[[Any], Any],
     out: FloatArray,

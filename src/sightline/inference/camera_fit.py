@@ -249,6 +249,8 @@ class Sightings:
         time_s: (N,) float64, seconds, from which it is told which errors of the log are alike; NaN
             where there is no log, or no time is known. Absent: nowhere.
         width_px: (N,) float64, of the boxes; NaN where there is none. Absent: nowhere.
+        above_m: (N,) float64, how high the water stood there above the plane that the camera's
+            height is over. Absent: at it.
         log: (N,) int64, index of the log that tells the place, one for each vessel of a recording:
             an error of it that lasts is its own. Absent: one for each recording.
     """
@@ -262,9 +264,12 @@ class Sightings:
     sigma_m: FloatArray
     time_s: FloatArray = field(default_factory=lambda: np.empty(0))
     width_px: FloatArray = field(default_factory=lambda: np.empty(0))
+    above_m: FloatArray = field(default_factory=lambda: np.empty(0))
     log: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
+        if self.above_m.size == 0:
+            object.__setattr__(self, "above_m", np.zeros(self.east_m.size))
         if self.log.size == 0:
             object.__setattr__(self, "log", self.group)
         for name in ("time_s", "width_px"):
@@ -580,7 +585,9 @@ class _Problem:
         s = self.sightings
         bias = vector[FIRST_SOURCE : self.first_clock].reshape(-1, 2)
         source = np.where(self.boxes, s.source, 0)
-        above = np.where(self.boxes, bias[source, 1], 0.0) if self.n_sources else 0.0
+        above = s.above_m
+        if self.n_sources:
+            above = above + np.where(self.boxes, bias[source, 1], 0.0)
         east, north = self.place(vector)
         if shift_m is not None:
             east, north = east + shift_m[:, 0], north + shift_m[:, 1]
@@ -631,7 +638,9 @@ class _Problem:
     def apparent(self, vector: FloatArray) -> FloatArray:
         """(N,) how large a metre at the box looks, pixels; zero for control points."""
         s = self.sightings
-        slant = np.hypot(np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]))
+        slant = np.hypot(
+            np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]) - s.above_m
+        )
         return np.where(self.boxes, np.exp(vector[4]) / slant, 0.0)
 
     def pixel_variance(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:

@@ -14,6 +14,7 @@ from sklearn.utils.validation import check_is_fitted
 
 from sightline.errors import FitError, InputError
 from sightline.inference.camera import (
+    BY_ABOVE,
     BY_COLUMN,
     BY_ROW,
     PARAMETERS,
@@ -68,6 +69,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         starts: Random starting cameras of the fit.
         random_state: Seed of the starts.
+        above_sigma_m: How far off it is how high the water stands (``above_m``); 0 where that is
+            not asked.
 
     Attributes:
         fit_: The fitted camera and its uncertainty, a `CameraFit`.
@@ -85,6 +88,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         position_known: bool = True,
         starts: int = 8,
         random_state: int = 0,
+        above_sigma_m: float = 0.0,
     ) -> None:
         self.image_size_px = image_size_px
         self.residual = residual
@@ -92,6 +96,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.position_known = position_known
         self.starts = starts
         self.random_state = random_state
+        self.above_sigma_m = above_sigma_m
 
     def fit(
         self,
@@ -103,6 +108,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         vessel: ArrayLike | None = None,
         velocity_mps: ArrayLike | None = None,
         time_s: ArrayLike | None = None,
+        above_m: ArrayLike | None = None,
         control_px: ArrayLike | None = None,
         control_east_north_m: ArrayLike | None = None,
         control_sigma_m: ArrayLike | None = None,
@@ -119,6 +125,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             velocity_mps: (N, 2) of the target, east and north; tells how far a clock is off.
             time_s: (N,) of each box, seconds; tells which errors of the log are alike. Absent or
                 NaN: those of a recording are not.
+            above_m: (N,) how high the water stood at each box above the plane that the camera's
+                height is over. Absent: at it.
             control_px: (M, 2) pixels of control points.
             control_east_north_m: (M, 2) metres.
             control_sigma_m: (M,) how far off each may lie; absent: `CONTROL_POINT_SIGMA_M`.
@@ -135,6 +143,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         n, m = len(boxes), len(pixels)
         velocity = np.zeros((n, 2)) if velocity_mps is None else _rows(velocity_mps, 2)
         times = np.full(n, np.nan) if time_s is None else np.asarray(time_s, dtype=np.float64)
+        above = np.zeros(n) if above_m is None else np.asarray(above_m, dtype=np.float64)
         if len(places) != n or len(known) != m:
             raise InputError(f"{n} boxes and {len(places)} places; each box needs its place")
         names = np.asarray(source if source is not None else [""] * n, dtype=np.str_)
@@ -162,6 +171,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             sigma_m=np.concatenate([np.zeros(n), certain]),
             time_s=np.concatenate([times, np.full(m, np.nan)]),
             width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
+            above_m=np.concatenate([above, np.zeros(m)]),
             log=np.concatenate([self._log, int(self._log.max(initial=-1)) + 1 + np.arange(m)]),
         )
         self.fit_ = fit_camera(
@@ -188,7 +198,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             offset = self.fit_.clock_offset_s
             clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
             late = np.array([clocks.get(int(g), 0.0) for g in self._group])
-            self._learn_residual(boxes, places + late[:, None] * velocity, names, times)
+            self._learn_residual(boxes, places + late[:, None] * velocity, names, times, above)
         return self
 
     def predict(
@@ -196,6 +206,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         X: ArrayLike,
         *,
         source: ArrayLike | None = None,
+        above_m: ArrayLike = 0.0,
         return_cov: bool = False,
         return_shared: bool = False,
     ) -> Any:
@@ -205,6 +216,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             X: (N, 4) boxes, pixels.
             source: (N,) str or one for all, who made the boxes. A source that was not learned
                 from counts as `bias` says.
+            above_m: (N,) or one value: how high the water stands above the plane that the camera's
+                height is over; below the camera.
             return_cov: Whether to return covariances too.
             return_shared: Whether to return, besides, the part of them that a target has in
                 common with itself a moment later: all but the noise of the box.
@@ -219,9 +232,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             check_is_fitted(self, "fit_")
         boxes = np.asarray(X, dtype=np.float64)
         n = len(boxes)
+        above = np.asarray(above_m, dtype=np.float64)
+        # One level for all is not spread over the boxes, which would cost every batch.
+        each = above.ndim > 0
         if n == 1:
             name = "" if source is None else str(np.ravel(source)[0])
-            one = place_one(self, boxes[0], name, LARGEST_RELATIVE_SIGMA)
+            one = place_one(self, boxes[0], name, LARGEST_RELATIVE_SIGMA, float(above.ravel()[0]))
             if one is not None:
                 return one if return_shared else one[:2] if return_cov else one[0]
         places, covariance = np.empty((n, 2)), np.empty((n, 2, 2))
@@ -236,12 +252,16 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for start in range(0, count, _CHUNK):
                 part = slice(start, start + _CHUNK)
                 if rows is None:
-                    self._place(boxes[part], name, places[part], covariance[part], shared[part])
+                    level = above[part] if each else above
+                    self._place(
+                        boxes[part], name, level, places[part], covariance[part], shared[part]
+                    )
                     continue
                 chosen = rows[part]
+                level = above[chosen] if each else above
                 where, spread = np.empty((chosen.size, 2)), np.empty((chosen.size, 2, 2))
                 common = np.empty((chosen.size if return_shared else 0, 2, 2))
-                self._place(boxes[chosen], name, where, spread, common)
+                self._place(boxes[chosen], name, level, where, spread, common)
                 places[chosen], covariance[chosen] = where, spread
                 if return_shared:
                     shared[chosen] = common
@@ -308,14 +328,17 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
         return self._biases[source]
 
-    def _see(self, boxes: FloatArray, source: str) -> _Seen:
+    def _see(self, boxes: FloatArray, source: str, above_m: FloatArray) -> _Seen:
         bias_px, bias_m, root = self._root(source)
         camera = self.camera_
         column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
-        at = locate_with_jacobian(camera, column, row, bias_m, self._hull_m)
+        at = locate_with_jacobian(camera, column, row, bias_m + above_m, self._hull_m)
         by = at.derivatives
         shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
-        slant = at.distance_m * at.distance_m + camera.height_m**2
+        moved = np.einsum("kin,kin->in", shift, shift)
+        if self.above_sigma_m > 0.0:
+            moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
+        slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
         by_column, by_row = by[BY_COLUMN], by[BY_ROW]
         of_column, of_row = self.fit_.noise.variances_px2(camera.focal_px**2 / slant)
         noise = of_column * by_column * by_column
@@ -325,7 +348,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             at.distance_m,
             at.sine,
             at.cosine,
-            moved=np.einsum("kin,kin->in", shift, shift),
+            moved=moved,
             moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
             noise=noise,
             noise_mixed=of_column * by_column[0] * by_column[1] + of_row * by_row[0] * by_row[1],
@@ -356,6 +379,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self,
         boxes: FloatArray,
         source: str,
+        above_m: FloatArray,
         places: FloatArray,
         covariance: FloatArray,
         shared: FloatArray,
@@ -365,7 +389,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         The shared part of the covariances is filled in where ``shared`` has room for it.
         """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            seen = self._see(boxes, source)
+            seen = self._see(boxes, source, above_m)
             limit = (LARGEST_RELATIVE_SIGMA * seen.distance) ** 2
             known = seen.moved[0] + seen.noise[0] < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
@@ -407,7 +431,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             shared[~known[: len(shared)]] = np.nan
 
     def _learn_residual(
-        self, boxes: FloatArray, places: FloatArray, names: Any, time_s: FloatArray
+        self,
+        boxes: FloatArray,
+        places: FloatArray,
+        names: Any,
+        time_s: FloatArray,
+        above_m: FloatArray,
     ) -> None:
         n = len(boxes)
         inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
@@ -418,7 +447,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for name in np.unique(names):
                 rows = np.flatnonzero(names == name)
-                seen = self._see(boxes[rows], str(name))
+                seen = self._see(boxes[rows], str(name), above_m[rows])
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
                 noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
                 sight[rows] = np.stack([seen.sine, seen.cosine], axis=1) / seen.distance[:, None]
@@ -475,6 +504,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "prior": {name: getattr(self.prior, name) for name in CameraPrior.__dataclass_fields__}
             if self.prior
             else None,
+            # Only where there is something to say: other models stay as they were.
+            **({"above_sigma_m": self.above_sigma_m} if self.above_sigma_m else {}),
             "starts_agreeing": fit.starts_agreeing,
             "starts": fit.starts,
             "typical_range_m": fit.typical_range_m,
@@ -514,6 +545,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             residual=bool(settings["residual"]),
             prior=prior,
             position_known=bool(settings["position_known"]),
+            above_sigma_m=float(settings.get("above_sigma_m", 0.0)),
         )
         model.sources_ = tuple(settings["sources"])
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)

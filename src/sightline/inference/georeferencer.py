@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from sightline.detection.camera_motion import Stance, View
 from sightline.detection.looking import Progress
-from sightline.errors import FitError, unknown_name
+from sightline.errors import FitError, InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import PARAMETERS, Camera
 from sightline.inference.camera_fit import (
@@ -30,6 +30,7 @@ from sightline.inference.support import Support
 from sightline.inference.turning import Turns, reference_view, scene_stances
 from sightline.scene import Scene
 from sightline.types import BoolArray, Boxes, FloatArray, Horizons, Positions, check_boxes
+from sightline.water import LEVEL_SIGMA_M
 
 MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
 """The names of all models: the paper's five, and ours."""
@@ -192,6 +193,8 @@ class Georeferencer:
             lies as it did for the model, None where it was taken never to roll or pitch.
         moving: Whether the camera stands on a platform that moves. Then places are to starboard
             and ahead of that: see `sightline.platform`.
+        water_level_m: The level of the water that the height of the camera is over, metres above
+            the datum of the scene's water levels; None where the water was taken to stand still.
         view: What stands still before the camera as it lies for the model, so that it shows in
             later pictures whether it was turned since; None where no pictures tell.
     """
@@ -205,6 +208,7 @@ class Georeferencer:
     horizon_px: tuple[float, float] | None = None
     moving: bool = False
     view: View | None = None
+    water_level_m: float | None = None
 
     @property
     def camera(self) -> Camera | None:
@@ -222,27 +226,36 @@ class Georeferencer:
             return 0.0
         return self.regressor.fit_.noise.drift_m
 
-    def locate(self, boxes_xyxy_px: ArrayLike, source: ArrayLike | None = None) -> Positions:
+    def locate(
+        self,
+        boxes_xyxy_px: ArrayLike,
+        source: ArrayLike | None = None,
+        water_level_m: ArrayLike | None = None,
+    ) -> Positions:
         """Where boxes lie.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
             source: Who made the boxes, (N,) str or one for all: the annotator's or detector's
                 name, as in the fit. Its bias is taken off. The paper's models know no sources.
+            water_level_m: How high the water stands, (N,) or one value for all, metres above the
+                datum of the water levels of the fit; needed where there were such.
 
         Returns:
             N positions, NaN where there is none: at or above the horizon, or where the range
             would be less certain than half of itself.
 
         Raises:
-            InputError: A box is reversed, or not a number.
+            InputError: A box is reversed, or not a number; or the water level is missing, is
+                given to a model that knows of none, or is not below the camera.
         """
         boxes = np.asarray(boxes_xyxy_px, dtype=np.float64)
         boxes = boxes.reshape(-1, 4) if boxes.size == 0 or boxes.ndim == 1 else boxes
         check_boxes(boxes)
+        above_m = self.above_m(water_level_m)
         if isinstance(self.regressor, CameraRegressor):
             places, covariance, shared = self.regressor.predict(
-                boxes, source=source, return_shared=True
+                boxes, source=source, above_m=above_m, return_shared=True
             )
         else:
             places, covariance = self.regressor.predict(boxes)
@@ -258,6 +271,51 @@ class Georeferencer:
             plane=self.plane,
             shared_covariance_m2=shared,
         )
+
+    def check_water(self, given: bool, where: str = "") -> None:
+        """Refuse to place boxes without a water level where the model needs one, or the reverse.
+
+        Args:
+            given: Whether a level is given.
+            where: Begins the message.
+
+        Raises:
+            InputError: It is needed and not given, or given and of no use.
+        """
+        if self.camera is None or given == (self.water_level_m is not None):
+            return
+        if given:
+            raise InputError(
+                f"{where}the model was fitted without water levels, so it can make nothing of one; "
+                "give all recordings of its scene water_level_m and fit it again"
+            )
+        raise InputError(
+            f"{where}the model was fitted to water levels; say how high the water stands, above "
+            "the same datum (--water-level METRES or FILE; water_level_m in a scene)"
+        )
+
+    def above_m(self, water_level_m: ArrayLike | None) -> FloatArray:
+        """How high the water stands above the plane that the camera's height is over.
+
+        Args:
+            water_level_m: See `locate`.
+
+        Returns:
+            (N,) or one number, metres; 0 where the water was taken to stand still.
+
+        Raises:
+            InputError: See `locate`.
+        """
+        self.check_water(water_level_m is not None)
+        if water_level_m is None or self.water_level_m is None or self.camera is None:
+            return np.zeros(())
+        above = np.asarray(water_level_m, dtype=np.float64) - self.water_level_m
+        if not (above < self.camera.height_m).all():
+            raise InputError(
+                f"a water level of {np.max(water_level_m):g} m is not below the camera, which is "
+                f"at {self.camera.height_m + self.water_level_m:.2f} m above its datum"
+            )
+        return above
 
     def level(self, boxes: Boxes, horizons: Horizons | None) -> Boxes:
         """Boxes as if the camera had lain as it did for the model.
@@ -404,12 +462,16 @@ def fit_pairs(
     landmarks: Landmarks | None = None,
     beliefs: Mapping[str, SourceBelief] | None = None,
     progress: Progress | None = None,
+    water_level_m: float | None = None,
 ) -> Georeferencer:
     """Learn a georeferencer from pairs, control points and landmarks; see `fit`.
 
     Where the pictures of the scene show that its camera was turned, in a recording or between two,
     boxes are put where they would be without the turn, and the model is of the camera as it lay
     at the end. The paper's models have no camera, and learn from the boxes as they are.
+
+    Where the scene has water levels, the camera's height is that over ``water_level_m``; absent:
+    over the median of the boxes' levels, so that it is a height over the water as one sees it.
     """
 
     def learn(pairs: Pairs) -> Georeferencer:
@@ -423,6 +485,7 @@ def fit_pairs(
             prior=prior,
             landmarks=landmarks,
             beliefs=beliefs,
+            water_level_m=water_level_m,
         )
 
     fitted = learn(pairs)
@@ -478,6 +541,7 @@ def _fit_pairs(
     prior: CameraPrior | None,
     landmarks: Landmarks | None,
     beliefs: Mapping[str, SourceBelief] | None,
+    water_level_m: float | None,
 ) -> Georeferencer:
     far = Landmarks.none() if landmarks is None else landmarks
     control = scene.control_points
@@ -485,6 +549,9 @@ def _fit_pairs(
         pairs.plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1
     )
     boxes = pairs.boxes.xyxy_px
+    if water_level_m is None and scene.tidal and len(pairs):
+        water_level_m = float(np.median(pairs.water_level_m))
+    above_m = pairs.water_level_m - (water_level_m or 0.0)
     regressor: PaperModel | CameraRegressor
     foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
     if model in PAPER_MODELS:
@@ -501,6 +568,7 @@ def _fit_pairs(
             position_known=position_known,
             starts=8 if position_known else 24,
             random_state=seed,
+            above_sigma_m=0.0 if water_level_m is None else LEVEL_SIGMA_M,
         ).fit(
             boxes,
             pairs.east_north_m,
@@ -509,6 +577,7 @@ def _fit_pairs(
             vessel=pairs.vessel,
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
+            above_m=above_m,
             control_px=np.concatenate([control.pixel_px, far.pixel_px]),
             control_east_north_m=np.concatenate([control_east_north, far.east_north_m]),
             control_sigma_m=np.concatenate(
@@ -516,15 +585,20 @@ def _fit_pairs(
             ),
             beliefs=beliefs,
         )
-        places = regressor.predict(boxes, source=pairs.boxes.source)
+        places = regressor.predict(boxes, source=pairs.boxes.source, above_m=above_m)
         pixels = np.concatenate([foot, control.pixel_px])
+    report = _report(model, regressor, pairs, places, len(control))
+    if water_level_m is not None and model not in PAPER_MODELS:
+        said = f"The height of the camera is that over a water level of {water_level_m:.2f} m."
+        report = replace(report, statements=(*report.statements, said))
     return Georeferencer(
         model=model,
         regressor=regressor,
         plane=pairs.plane,
         image_size_px=image_size_px,
         support=Support.of(pixels, image_size_px),
-        report=_report(model, regressor, pairs, places, len(control)),
+        report=report,
+        water_level_m=None if model in PAPER_MODELS else water_level_m,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,8 @@ def save_model(georeferencer: Georeferencer, path: str | os.PathLike[str]) -> Pa
     # Only where there is something to say: other models stay readable by older releases.
     if georeferencer.horizon_px is not None:
         content["horizon_px"] = list(georeferencer.horizon_px)
+    if georeferencer.water_level_m is not None:
+        content["water_level_m"] = georeferencer.water_level_m
     if georeferencer.moving:
         content["moving"] = True
     tensors = {f"regressor.{name}": np.ascontiguousarray(a) for name, a in arrays.items()}
@@ -141,6 +144,7 @@ def _build(content: dict[str, Any], tensors: dict[str, Any]) -> Georeferencer:
         report=FitReport.from_dict(content["report"]),
         horizon_px=_horizon(content.get("horizon_px")),
         moving=bool(content.get("moving", False)),
+        water_level_m=_finite(content.get("water_level_m")),
         view=_view(tensors, bool(content.get("view_landmarks", True))),
     )
 
@@ -153,6 +157,14 @@ def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:
         raise ValueError("its view is no picture")
     top_px, left_px = (place.astype(np.int64) for place in places)
     return View(strips, top_px, left_px, landmarks)
+
+
+def _finite(value: Any) -> float | None:
+    if value is None:
+        return None
+    if not math.isfinite(float(value)):
+        raise ValueError("its water level is not a number")
+    return float(value)
 
 
 def _horizon(rows: Any) -> tuple[float, float] | None:

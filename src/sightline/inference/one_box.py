@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sightline.inference.camera import BY_COLUMN, BY_ROW, locate_one
+from sightline.inference.camera import BY_ABOVE, BY_COLUMN, BY_ROW, locate_one
 from sightline.types import FloatArray
 
 if TYPE_CHECKING:
@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 
 
 def place_one(
-    model: CameraRegressor, box: FloatArray, source: str, largest_relative_sigma: float
+    model: CameraRegressor,
+    box: FloatArray,
+    source: str,
+    largest_relative_sigma: float,
+    above_m: float = 0.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Where one box lies.
 
@@ -28,6 +32,7 @@ def place_one(
         box: (4,) pixels.
         source: Who made the box.
         largest_relative_sigma: Of the range; where it is less certain there is no position.
+        above_m: How high the water stands above the plane that the camera's height is over.
 
     Returns:
         Place (1, 2), covariance (1, 2, 2), and the part of it that a target shares with itself
@@ -36,13 +41,15 @@ def place_one(
     x1, y1, x2, y2 = box.tolist()
     camera = model.camera_
     bias_px, bias_m, root = model._root(source)
-    at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m, model._hull_m)
+    at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m + above_m, model._hull_m)
     if at is None:
         return None
     distance, sine, cosine, by = at
     shift = root @ by[:BY_COLUMN]
     (along, mixed), (_, across) = (shift.T @ shift).tolist()
-    slant = np.array([camera.focal_px**2 / (distance * distance + camera.height_m**2)])
+    along += (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
+    height_m = camera.height_m - above_m
+    slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
     (row_along, row_across), (column_along, column_across) = by[[BY_ROW, BY_COLUMN]].tolist()
     (place_along,), (place_across,) = model._place_variance.tolist()

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sightline.errors import FitError
+from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
 from sightline.platform import to_bow, turned
 from sightline.scene import Recording, Scene, check_overlap
@@ -28,6 +28,7 @@ class Pairs:
         asked: How many boxes there were; those without a fix on either side do not count.
         plane: Where the origin lies.
         vessel: (N,) str, whose box it is, where a recording has several. Absent: one.
+        water_level_m: (N,) float64, how high the water stood above the datum. Absent: at it.
     """
 
     boxes: Boxes
@@ -37,10 +38,13 @@ class Pairs:
     asked: int
     plane: LocalPlane
     vessel: StrArray = field(default_factory=lambda: np.empty(0, dtype=np.str_))
+    water_level_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         if self.vessel.size == 0:
             object.__setattr__(self, "vessel", np.full(len(self.boxes), ""))
+        if self.water_level_m.size == 0:
+            object.__setattr__(self, "water_level_m", np.zeros(len(self.boxes)))
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -53,6 +57,7 @@ class Pairs:
             east_north_m=self.east_north_m[rows],
             velocity_mps=self.velocity_mps[rows],
             vessel=self.vessel[rows],
+            water_level_m=self.water_level_m[rows],
         )
 
 
@@ -105,6 +110,7 @@ def scene_pairs(
         FitError: No box has fixes near enough on both sides, though logs overlap recordings.
         InputError: No recording's log overlaps it, or a file cannot be used.
     """
+    tidal = scene.tidal
     parts: list[Pairs] = []
     silent: list[Recording] = []
     for recording in scene.recordings:
@@ -126,6 +132,7 @@ def scene_pairs(
             pose = platform.pose(boxes.time_utc_s, plane)
             en_m, velocity_mps = to_bow(en_m, pose), turned(velocity_mps, pose.heading_rad)
         rows = np.isfinite(en_m).all(axis=1)
+        times = boxes.time_utc_s[rows]
         parts.append(
             Pairs(
                 boxes=boxes[rows],
@@ -134,6 +141,7 @@ def scene_pairs(
                 velocity_mps=np.nan_to_num(velocity_mps[rows]),
                 asked=asked,
                 plane=plane,
+                water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
             )
         )
     if silent and len(silent) == len(parts):
@@ -155,4 +163,23 @@ def scene_pairs(
         velocity_mps=np.concatenate([part.velocity_mps for part in parts]),
         asked=sum(part.asked for part in parts),
         plane=plane,
+        water_level_m=np.concatenate([part.water_level_m for part in parts]),
     )
+
+
+def levels_at(recording: Recording, time_utc_s: FloatArray) -> FloatArray:
+    """(N,) how high the water stood in a recording, metres above the datum.
+
+    Args:
+        recording: One that has a water level.
+        time_utc_s: (N,) POSIX seconds.
+
+    Raises:
+        InputError: Its table cannot be used, or says nothing of a time.
+    """
+    levels = recording.water_levels()
+    assert levels is not None, "all recordings of a tidal scene have one"
+    try:
+        return levels.at(time_utc_s)
+    except InputError as error:
+        raise InputError(f"recording {recording.name}: {error}") from error

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -168,21 +169,25 @@ class Turns:
         moved, known = self.moved(boxes)
         return boxes[known].with_columns(xyxy_px=moved[known])
 
-    def widened(self, positions: Positions, time_utc_s: FloatArray) -> Positions:
+    def widened(
+        self, positions: Positions, time_utc_s: FloatArray, above_m: ArrayLike = 0.0
+    ) -> Positions:
         """Positions of levelled boxes, with what is not known of the turns.
 
         Args:
             positions: N rows, in the model's plane.
             time_utc_s: (N,) of the boxes.
+            above_m: (N,) or one value: how high the water stood above the plane that the camera's
+                height is over.
         """
         stance, _ = self.at(time_utc_s)
         camera = self.camera
         place = np.stack([positions.east_m - camera.east_m, positions.north_m - camera.north_m], 1)
-        height = camera.height_m
-        sight = np.concatenate([place, np.full((len(place), 1), -height)], axis=1)
+        height = np.broadcast_to(camera.height_m - np.asarray(above_m), len(place))[:, None]
+        sight = np.concatenate([place, -height], axis=1)
         # A small turn w takes a sight d to d + w x d, and that meets the water elsewhere.
         by_axis = np.cross(camera.rotation[None, :, :], sight[:, None, :])
-        moved = by_axis[..., :2] + by_axis[..., 2:] * place[:, None, :] / height
+        moved = by_axis[..., :2] + by_axis[..., 2:] * (place / height)[:, None, :]
         own = np.einsum("nai,nab,nbj->nij", moved, self.covariance_rad2[stance], moved)
         assert positions.shared_covariance_m2 is not None, "positions fill it in"
         return replace(

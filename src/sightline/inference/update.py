@@ -246,8 +246,9 @@ def _residuals(
     vector = camera.to_vector()
     size = model.image_size_px
     place = pairs.east_north_m
+    above = model.above_m(pairs.water_level_m if model.water_level_m is not None else None)
     pixel, by_parameter, by_point = project_with_jacobian(
-        vector, size, place[:, 0], place[:, 1], 0.0
+        vector, size, place[:, 0], place[:, 1], above
     )
     boxes = pairs.boxes.xyxy_px
     foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)

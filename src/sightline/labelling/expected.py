@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
 from sightline.errors import InputError
@@ -135,19 +136,26 @@ def place_of(
     )
 
 
-def expect(place: Synchronised, georeferencer: Georeferencer, size: TargetSize) -> Expected:
+def expect(
+    place: Synchronised,
+    georeferencer: Georeferencer,
+    size: TargetSize,
+    water_level_m: ArrayLike | None = None,
+) -> Expected:
     """The boxes that a target has where its log says it is.
 
     Args:
         place: (N,) where it was.
         georeferencer: Has a camera.
         size: Of the target.
+        water_level_m: (N,) or one value; see `Georeferencer.locate`.
 
     Raises:
-        InputError: The model has no camera.
+        InputError: The model has no camera, or the water level does not fit it.
     """
     regressor = camera_of(georeferencer)
     fit, camera = regressor.fit_, regressor.camera_
+    above = georeferencer.above_m(water_level_m)
     n = place.east_m.size
     known = place.matched
     east, north = np.nan_to_num(place.east_m), np.nan_to_num(place.north_m)
@@ -155,9 +163,9 @@ def expect(place: Synchronised, georeferencer: Georeferencer, size: TargetSize) 
     velocity_north = np.nan_to_num(place.velocity_north_mps)
     off_east, off_north = east - camera.east_m, north - camera.north_m
     range_m = np.hypot(off_east, off_north)
-    pixel = camera.project(east, north)
+    pixel = camera.project(east, north, above)
     _, by_parameter, by_point = project_with_jacobian(
-        fit.vector[: len(PARAMETERS)], georeferencer.image_size_px, east, north, 0.0
+        fit.vector[: len(PARAMETERS)], georeferencer.image_size_px, east, north, above
     )
     count = len(PARAMETERS)
     variance = np.einsum(
@@ -179,7 +187,9 @@ def expect(place: Synchronised, georeferencer: Georeferencer, size: TargetSize) 
     # The foot of a box lies where the near side of the hull meets the water: nearer by half of it.
     near = 0.5 * (aspect[:, ::-1] @ np.array([size.length_m, size.beam_m]))
     share = 1.0 - np.minimum(near / np.maximum(range_m, 1.0), 0.5)
-    foot = camera.project(camera.east_m + off_east * share, camera.north_m + off_north * share)
+    foot = camera.project(
+        camera.east_m + off_east * share, camera.north_m + off_north * share, above
+    )
     box = np.stack(
         [pixel[:, 0] - 0.5 * width, foot[:, 1] - height, pixel[:, 0] + 0.5 * width, foot[:, 1]],
         axis=1,

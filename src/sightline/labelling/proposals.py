@@ -123,6 +123,7 @@ def propose(
     background = Background.of(recording.frames(), recording.name)
     detections = recording.detections() if recording.detections_path is not None else None
     skipped = set() if leave_out is None else {int(frame) for frame in leave_out}
+    levels = recording.water_levels()
     views: list[_View] = []
     last_s, timed = -np.inf, False
     for frame in recording.frames():
@@ -134,7 +135,10 @@ def propose(
             continue
         last_s = time_s
         expected = expect(
-            place_of(recording, georeferencer, np.array([time_s])), georeferencer, size
+            place_of(recording, georeferencer, np.array([time_s])),
+            georeferencer,
+            size,
+            None if levels is None else levels.at([time_s]),
         )
         seen = None if detections is None else detections[detections.frame == frame.index]
         views.append(_view(frame, expected, background, seen))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sightline import formats
@@ -18,13 +18,12 @@ from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS, Georeferenc
 from sightline.inference.levelling import scene_horizons
 from sightline.inference.pairs import scene_pairs
 from sightline.inference.paper import PAPER_MODELS
-from sightline.inference.turning import Turns
-from sightline.pipeline.standing import recording_turns
+from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.standing import recording_conditions
 from sightline.pipeline.tracking import (
     DEFAULT_TRAJECTORY,
     TrackSettings,
     check_platform,
-    locate,
     smooth_boxes,
     states,
 )
@@ -87,7 +86,7 @@ class Placed:
         model: That placed them.
         fixes: The log.
         platform: What the camera stands on, where that moves.
-        turns: How the camera lay, where it was turned; the boxes are levelled.
+        conditions: How the camera lay, and how high the water stood; the boxes are levelled.
     """
 
     recording: str
@@ -95,11 +94,11 @@ class Placed:
     model: Georeferencer
     fixes: Fixes
     platform: Platform | None = None
-    turns: Turns | None = None
+    conditions: Conditions = field(default_factory=Conditions)
 
     def single(self) -> ScoredPairs:
         """Each box by itself beside the log."""
-        positions = locate(self.boxes, self.model, self.turns)
+        positions = self.conditions.locate(self.boxes, self.model)
         if self.platform is not None:
             pose = self.platform.pose(self.boxes.time_utc_s, self.model.plane)
             positions = moved_positions(north_up(positions, pose), pose)
@@ -121,7 +120,7 @@ class Placed:
             settings,
             track_id=1,
             platform=self.platform,
-            turns=self.turns,
+            conditions=self.conditions,
         )
 
     def states(self) -> MotionState | None:
@@ -129,12 +128,12 @@ class Placed:
 
         None where no box has a place.
         """
-        known = locate(self.boxes, self.model, self.turns).known
+        known = self.conditions.locate(self.boxes, self.model).known
         if self.platform is not None:
             known = known & self.platform.pose(self.boxes.time_utc_s, self.model.plane).known
         if not known.any():
             return None
-        return states(self.boxes, self.model, self.platform, self.turns)
+        return states(self.boxes, self.model, self.platform, self.conditions)
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
@@ -154,10 +153,10 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
         boxes = model.level(recording.boxes(), scene_horizons(recording))
-        turns = recording_turns(recording, model) if scene.camera.watched else None
-        if turns is not None:
-            boxes = turns.level(boxes)
-        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform, turns))
+        conditions = recording_conditions(recording, model, watched=scene.camera.watched)
+        if conditions.turns is not None:
+            boxes = conditions.turns.level(boxes)
+        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform, conditions))
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"

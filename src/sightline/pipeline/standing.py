@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -18,8 +19,10 @@ from sightline.detection.stances import (
 )
 from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.turning import Turns, seen_again
+from sightline.pipeline.conditions import Conditions
 from sightline.scene import Recording
 from sightline.types import Boxes, FloatArray, Frame
+from sightline.water import WaterLevels
 
 _COLUMNS = 33
 
@@ -33,16 +36,16 @@ _logger = logging.getLogger(__name__)
 
 
 class Standing:
-    """Knows how the camera lay in a recording."""
+    """Knows how the camera lay in a recording, and how high the water stood."""
 
-    def __init__(self, turns: Turns | None) -> None:
+    def __init__(self, conditions: Conditions | None = None) -> None:
         """Take what is known of it; None: it lay as for the model."""
-        self._turns = turns
+        self._conditions = conditions or Conditions()
 
     @property
-    def turns(self) -> Turns | None:
-        """How the camera lay; None where it lay as for the model."""
-        return self._turns
+    def conditions(self) -> Conditions:
+        """What is known by now."""
+        return self._conditions
 
     def level(self, batches: Iterable[Boxes]) -> Iterator[Boxes]:
         """Boxes as the camera of the model would have seen them.
@@ -50,8 +53,9 @@ class Standing:
         Args:
             batches: In the order of time.
         """
+        turns = self._conditions.turns
         for boxes in batches:
-            yield boxes if self.turns is None else self.turns.level(boxes)
+            yield boxes if turns is None else turns.level(boxes)
 
 
 class StandingWatch(Standing):
@@ -61,7 +65,12 @@ class StandingWatch(Standing):
     """
 
     def __init__(
-        self, model: Georeferencer, *, warn_of: str | None = None, correct: bool = True
+        self,
+        model: Georeferencer,
+        *,
+        warn_of: str | None = None,
+        correct: bool = True,
+        water: WaterLevels | None = None,
     ) -> None:
         """Take from the model where the horizon lies, and what stood still before it.
 
@@ -69,8 +78,10 @@ class StandingWatch(Standing):
             model: Of the camera.
             warn_of: The source, where each turn is to be warned of as it is noticed.
             correct: Whether boxes are to be levelled.
+            water: How high the water stands.
         """
-        super().__init__(None)
+        super().__init__(Conditions(water=water))
+        self._turns: Turns | None = None
         self._warn_of = warn_of
         self._noticed: list[CameraTurn] = []
         self._model, self._correct = model, correct
@@ -89,11 +100,6 @@ class StandingWatch(Standing):
         """Whether anything is looked at."""
         return self._watch is not None
 
-    @property
-    def turns(self) -> Turns | None:
-        """How the camera lay, as far as it is known now, where boxes are to be levelled."""
-        return self._turns if self._correct else None
-
     def look(self, frame: Frame) -> CameraTurn | None:
         """Look at a picture, where the last look was long enough ago; the turn noticed in it."""
         if self._watch is None or not frame.time_utc_s >= self._next_s:
@@ -108,6 +114,8 @@ class StandingWatch(Standing):
                 self._warn(_UNRECOGNISED)
             self._known = len(stances)
             self._turns = self._model.turns(stances)
+            if self._correct:
+                self._conditions = replace(self._conditions, turns=self._turns)
             if turn is None and self._turns is not None:
                 self._warn_of_turn(self._turns.sentences()[0])
         if turn is not None:
@@ -138,19 +146,27 @@ class StandingWatch(Standing):
             yield self._levelled(boxes)
 
     def _levelled(self, boxes: Boxes) -> Boxes:
-        turns = self.turns
+        turns = self._conditions.turns
         return boxes if turns is None else turns.level(boxes)
 
 
-def recording_turns(recording: Recording, model: Georeferencer) -> Turns | None:
-    """How the camera lay in a recording, by its pictures, against how it lies for a model.
+def recording_conditions(
+    recording: Recording, model: Georeferencer, *, watched: bool = True
+) -> Conditions:
+    """How the camera lay in a recording, against how it lies for a model, and the water.
 
-    Returns:
-        None where it lay as for the model, or nothing tells.
+    Args:
+        recording: With or without pictures.
+        model: To place its boxes.
+        watched: Whether its pictures are asked if the camera was turned.
+
+    Raises:
+        InputError: The recording has water levels and the model knows of none, or the reverse.
     """
-    if model.camera is None or model.moving:
-        return None
-    return model.turns(recording_stances(recording))
+    water = recording.water_levels()
+    model.check_water(water is not None, f"recording {recording.name}: ")
+    seen = watched and model.camera is not None and not model.moving
+    return Conditions(model.turns(recording_stances(recording)) if seen else None, water)
 
 
 def camera_turns(recording: Recording, model: Georeferencer) -> str | None:

@@ -15,7 +15,6 @@ from sightline.detection import Detector, Looker, Progress, detect, frame_count,
 from sightline.errors import InputError
 from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.levelling import HorizonWatch
-from sightline.inference.turning import Turns
 from sightline.pipeline.boxes import (
     fit_for_use,
     follows_on_earth,
@@ -27,6 +26,7 @@ from sightline.pipeline.boxes import (
     refuse_seldom,
     timed,
 )
+from sightline.pipeline.conditions import Conditions
 from sightline.pipeline.standing import Standing, StandingWatch
 from sightline.platform import Platform, moved_track, north_up
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
@@ -34,7 +34,8 @@ from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionState
 from sightline.trajectory.forecast import follow as follow_motion
-from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Positions, Track
+from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
+from sightline.water import WaterLevels
 
 DEFAULT_TRAJECTORY = "rts"
 
@@ -100,6 +101,7 @@ def track(
     start_utc_s: float | None = None,
     platform: Platform | str | os.PathLike[str] | None = None,
     horizons: Horizons | None = None,
+    water_levels: WaterLevels | float | str | os.PathLike[str] | None = None,
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
 ) -> Tracks:
@@ -114,12 +116,15 @@ def track(
         start_utc_s: POSIX seconds of a video's first frame.
         platform: What the camera stands on, or its log, where that moves.
         horizons: Where the horizon lies, for boxes in a table; in frames it is looked for.
+        water_levels: How high the water stands, metres above the datum of the model's scene, or a
+            table of it; needed where that scene had such.
         settings: How boxes become tracks.
         progress: Told how far it is.
 
     Raises:
         InputError: The source cannot be read, nothing tells its times, or the model is of a camera
-            that moves and the source of one that does not, or the reverse.
+            that moves and the source of one that does not, or the reverse, or water levels are
+            missing or of no use.
     """
     found = iter_tracks(
         source,
@@ -129,6 +134,7 @@ def track(
         start_utc_s=start_utc_s,
         platform=platform,
         horizons=horizons,
+        water_levels=water_levels,
         settings=settings,
         progress=progress,
     )
@@ -144,6 +150,7 @@ def iter_tracks(
     start_utc_s: float | None = None,
     platform: Platform | str | os.PathLike[str] | None = None,
     horizons: Horizons | None = None,
+    water_levels: WaterLevels | float | str | os.PathLike[str] | None = None,
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
     forecasts: Callable[[Track], None] | None = None,
@@ -158,6 +165,7 @@ def iter_tracks(
         start_utc_s: See `track`.
         platform: See `track`.
         horizons: See `track`.
+        water_levels: See `track`.
         settings: See `track`.
         progress: See `track`.
         forecasts: Is given the forecast of each track, from its last position on and by its
@@ -171,6 +179,8 @@ def iter_tracks(
     if platform is not None and not isinstance(platform, Platform):
         platform = Platform(formats.read_fixes(platform), formats.read_headings(platform))
     check_platform(model, platform)
+    water = _water(water_levels)
+    model.check_water(water is not None)
     table = isinstance(source, Boxes) or is_table(source)
     if table and start_utc_s is not None:
         raise InputError(
@@ -178,7 +188,7 @@ def iter_tracks(
             "were seen; give a clock (frame,utc), or time_utc with the boxes"
         )
     watch: HorizonWatch | None = None
-    standing: StandingWatch | None = None
+    standing = Standing(Conditions(water=water))
     if isinstance(source, Boxes):
         batches, highest_id = in_hand(source)
     elif table:
@@ -186,7 +196,9 @@ def iter_tracks(
     else:
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = fit_for_use(frames, model, str(source))
-        standing = StandingWatch(model, warn_of=str(source), correct=settings.correct_turns)
+        standing = StandingWatch(
+            model, warn_of=str(source), correct=settings.correct_turns, water=water
+        )
         lookers: list[Looker] = [standing]
         if model.horizon_px is not None:
             watch = HorizonWatch()
@@ -199,9 +211,18 @@ def iter_tracks(
     level: Iterator[Boxes] = (
         model.level(boxes, watch.seen if watch else horizons) for boxes in with_times
     )
-    if standing is not None:
-        level = standing.level(level)
+    level = standing.level(level)
     yield from follow(level, model, smoother, settings, highest_id, platform, forecasts, standing)
+
+
+def _water(
+    given: WaterLevels | float | str | os.PathLike[str] | None,
+) -> WaterLevels | None:
+    if given is None or isinstance(given, WaterLevels):
+        return given
+    if isinstance(given, str | os.PathLike):
+        return formats.read_water_levels(given)
+    return WaterLevels.constant(given)
 
 
 def follow(
@@ -225,18 +246,20 @@ def follow(
             has one, and a tracker gives them.
         platform: What the camera stands on, where that moves.
         forecasts: See `iter_tracks`.
-        standing: Knows by when the camera had been turned; the boxes are levelled.
+        standing: Knows by when the camera had been turned, and how high the water stood; the boxes
+            are levelled.
 
     Raises:
         SeldomError: No target could be followed, since the boxes come too seldom.
     """
+    standing = standing or Standing()
     first_s: list[float] = []
     if highest_id == NO_TRACK:
-        batches = _followed(batches, first_s, _tracker(model))
+        batches = _followed(batches, first_s, _tracker(model, standing))
     book = _OpenTracks(settings, highest_id)
     count = 0
     for number, boxes in book.ended(batches):
-        turns = standing.turns if standing is not None else None
+        conditions = standing.conditions
         made = smooth_boxes(
             boxes,
             model,
@@ -245,19 +268,23 @@ def follow(
             track_id=number,
             shortest_s=settings.shortest_s,
             platform=platform,
-            turns=turns,
+            conditions=conditions,
         )
         if made is not None:
             count += 1
             if forecasts is not None:
-                forecasts(_forecast(boxes, model, settings, made, platform, turns))
+                forecasts(_forecast(boxes, model, settings, made, platform, conditions))
             yield made
     if count == 0:
         refuse_seldom(first_s, "boxes", model)
 
 
-def _tracker(model: Georeferencer) -> Tracker:
-    return WorldTracker(model.locate) if follows_on_earth(model) else ImageTracker()
+def _tracker(model: Georeferencer, standing: Standing) -> Tracker:
+    if not follows_on_earth(model):
+        return ImageTracker()
+    # What is not known of a turn moves all targets alike, so it tells none from another.
+    water = Conditions(water=standing.conditions.water)
+    return WorldTracker(lambda boxes: water.locate(boxes, model))
 
 
 def _forecast(
@@ -266,10 +293,10 @@ def _forecast(
     settings: TrackSettings,
     track: Track,
     platform: Platform | None,
-    turns: Turns | None,
+    conditions: Conditions,
 ) -> Track:
     """The forecast of a track from its last position on."""
-    state = states(boxes, model, platform, turns, track_id=track.track_id)[-1:]
+    state = states(boxes, model, platform, conditions, track_id=track.track_id)[-1:]
     step = min(settings.forecast_interval_s, settings.forecast_s)
     lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
     return state.forecast(lags, track_id=track.track_id, label=track.label)
@@ -378,17 +405,11 @@ def check_platform(model: Georeferencer, platform: Platform | None, where: str =
         )
 
 
-def locate(boxes: Boxes, model: Georeferencer, turns: Turns | None) -> Positions:
-    """Where boxes lie from which the turns of the camera, where there are any, were taken off."""
-    positions = model.locate(boxes.xyxy_px, boxes.source)
-    return positions if turns is None else turns.widened(positions, boxes.time_utc_s)
-
-
 def states(
     boxes: Boxes,
     model: Georeferencer,
     platform: Platform | None,
-    turns: Turns | None,
+    conditions: Conditions,
     *,
     track_id: int = 0,
 ) -> MotionState:
@@ -400,7 +421,7 @@ def states(
     Raises:
         InputError: No box has a place.
     """
-    positions = locate(boxes, model, turns)
+    positions = conditions.locate(boxes, model)
     if platform is not None:
         positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
     followed = follow_motion(boxes.time_utc_s, positions, track_id=track_id)
@@ -419,13 +440,13 @@ def smooth_boxes(
     track_id: int,
     shortest_s: float = 0.0,
     platform: Platform | None = None,
-    turns: Turns | None = None,
+    conditions: Conditions | None = None,
 ) -> Track | None:
     """The smooth track of one target's boxes; None where they have positions for too short.
 
     Before a moving camera the path relative to it is smoothed, and then put where the camera was.
     """
-    positions = locate(boxes, model, turns)
+    positions = (conditions or Conditions()).locate(boxes, model)
     if platform is not None:
         positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
     times = boxes.time_utc_s[positions.known]

@@ -23,7 +23,7 @@ from sightline.pipeline.boxes import (
     timed,
 )
 from sightline.pipeline.scoring import Placed, leave_one_out, place_boxes, score
-from sightline.pipeline.standing import Standing, camera_turns, recording_turns
+from sightline.pipeline.standing import Standing, camera_turns, recording_conditions
 from sightline.pipeline.tracking import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.scene import Recording, Scene
 from sightline.tracks import Tracks
@@ -216,7 +216,7 @@ def track_recording(
     where = f"recording {recording.name}"
     platform, horizons = recording.platform(), scene_horizons(recording)
     check_platform(model, platform, f"{where}: ")
-    standing = Standing(recording_turns(recording, model) if settings.correct_turns else None)
+    standing = Standing(recording_conditions(recording, model, watched=settings.correct_turns))
     if recording.boxes_path is not None:
         (boxes,) = standing.level([model.level(recording.boxes(), horizons)])
         made = smooth_boxes(
@@ -226,7 +226,7 @@ def track_recording(
             settings,
             track_id=1,
             platform=platform,
-            turns=standing.turns,
+            conditions=standing.conditions,
         )
         return [] if made is None else [made]
     if recording.detections_path is not None:

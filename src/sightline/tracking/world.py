@@ -23,10 +23,10 @@ import numpy as np
 from sightline.tracking.image import ImagePlane, ImageTrackerSettings
 from sightline.tracking.plane import Columns
 from sightline.tracking.targets import TargetTracker
-from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions, StrArray
+from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions
 
-Locate = Callable[[FloatArray, StrArray], Positions]
-"""Where boxes (N, 4) of sources (N,) lie, as `Georeferencer.locate` says it."""
+Locate = Callable[[Boxes], Positions]
+"""Where boxes lie, as `Georeferencer.locate` says it."""
 
 _NEAREST_M = 1.0
 _OWN_SHARE = 0.05
@@ -82,7 +82,7 @@ class WorldPlane:
 
     def measure(self, boxes: Boxes) -> Columns:
         """What the image has, and ``sight`` (bearing, inverse range) with ``noise``."""
-        positions = self._locate(boxes.xyxy_px, boxes.source)
+        positions = self._locate(boxes)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)
         en = np.where(known[:, None], en, [0.0, 1.0])

@@ -1,0 +1,40 @@
+"""What is known of the moments in which boxes were seen, besides the boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sightline.inference.georeferencer import Georeferencer
+from sightline.inference.turning import Turns
+from sightline.types import Boxes, Positions
+from sightline.water import WaterLevels
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """How the camera lay, and how high the water stood.
+
+    Attributes:
+        turns: How the camera lay against that of the model; None: as for it. Boxes are levelled
+            by it before they are placed.
+        water: How high the water stood; None where it is taken to stand still.
+    """
+
+    turns: Turns | None = None
+    water: WaterLevels | None = None
+
+    def locate(self, boxes: Boxes, model: Georeferencer) -> Positions:
+        """Where boxes lie from which the turns of the camera were taken off.
+
+        Args:
+            boxes: With their times.
+            model: Says where a box lies.
+
+        Raises:
+            InputError: The water levels say nothing of a time, or do not fit the model.
+        """
+        level_m = None if self.water is None else self.water.at(boxes.time_utc_s)
+        positions = model.locate(boxes.xyxy_px, boxes.source, level_m)
+        if self.turns is None:
+            return positions
+        return self.turns.widened(positions, boxes.time_utc_s, model.above_m(level_m))
