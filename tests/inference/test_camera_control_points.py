@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pyproj import Transformer
 from scipy.stats import chi2
 
 from sightline.formats.control_points import read_control_points
@@ -81,3 +84,26 @@ def test_the_plane_has_its_origin_where_the_camera_was_found(
         east, north = model.plane.to_plane(points.latitude_deg, points.longitude_deg)
         apart = np.hypot(*(model.camera.project(east, north) - points.pixel_px).T)
         assert np.sort(apart)[:4].max() < 3.0 * PixelNoise().column_px
+
+
+def test_vehicles_lie_where_another_solution_puts_them(
+    data_dir: Path, points: ControlPoints, tmp_path: Path
+) -> None:
+    """OTVision's homography of the same five points takes the middle of a box for the road."""
+    model = fit(Scene.load(write_scene(tmp_path / "road.toml", points)), "camera")
+    assert model.camera is not None
+    database = data_dir / "otvision" / "Cars-Truck.gpkg"
+    with closing(sqlite3.connect(f"{database.as_uri()}?mode=ro&immutable=1", uri=True)) as theirs:
+        ((table,),) = theirs.execute("SELECT table_name FROM gpkg_contents")
+        rows = theirs.execute(f'SELECT x, y, lon_utm, lat_utm FROM "{table}"').fetchall()
+    x, y, utm_east, utm_north = np.array(rows).T
+    to_degrees = Transformer.from_crs("EPSG:32632", "EPSG:4326", always_xy=True)
+    longitude, latitude = to_degrees.transform(utm_east, utm_north)
+    east, north = model.plane.to_plane(latitude, longitude)
+    found_east, found_north = model.camera.locate(np.stack([x, y], axis=1))
+    apart_m = np.hypot(found_east - east, found_north - north)
+    range_m = np.hypot(found_east, found_north)
+    # The points lie 20 to 35 m away; from there on a homography drifts.
+    assert (range_m < 40.0).sum() > 100
+    assert np.median(apart_m[range_m < 40.0]) < 0.3
+    assert np.median(apart_m[range_m < 80.0]) < 0.8
