@@ -3,7 +3,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -18,6 +20,7 @@ from sightline.evaluation.page import (
     PageFigure,
     ReportPage,
     SourceRow,
+    _to_sigma,
     clock_time,
     plain_statements,
     render_page,
@@ -261,6 +264,36 @@ def test_the_map_draws_tracks_log_and_ellipses_where_they_are() -> None:
     for east, south in (*drawn[[0, -1]], (0.0, 0.0)):
         assert x < east < x + width
         assert y < south < y + height
+
+
+def test_a_target_that_lies_still_has_one_ellipse_and_one_that_moves_has_many() -> None:
+    """A standard deviation of 1 m east; one target makes 1.2 m a point, one a tenth in all."""
+    under_way = track(2)
+    still = replace(track(1), east_m=np.linspace(-50.0, -49.9, len(under_way)))
+    page = Page(render_page(full_page(positions={}, tracks={"07": [still, under_way]})))
+    east_m = [float(a["cx"]) for a in page.all("ellipse") if "cx" in a]
+    assert sum(east < -40.0 for east in east_m) == 1
+    assert sum(east > -40.0 for east in east_m) == len(under_way)
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "shown"),
+    [
+        (3.90042, 0.166, "3.90"),
+        (-1.1e-9, 0.46, "0.00"),
+        (622.355, 19.8, "622"),
+        (-0.04889, 0.071, "−0.049"),
+        (0.0045, 0.097, "0.004"),
+        (958.52, None, "958.5"),
+        (5.5, 0.0, "5.5"),
+        (-2.0, math.nan, "−2"),
+        (math.nan, 1.0, "–"),
+    ],
+)
+def test_a_value_is_written_to_the_digit_at_which_it_is_unsure(
+    value: float, sigma: float | None, shown: str
+) -> None:
+    assert _to_sigma(value, sigma) == shown
 
 
 def test_what_the_pointer_shows_is_in_the_page() -> None:

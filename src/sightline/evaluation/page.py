@@ -30,7 +30,7 @@ from sightline.evaluation.report import Matched, Report, TracksUsed, without_nan
 from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
-from sightline.types import Fixes, FloatArray, PointKind, Track, ellipses, to_datetime64
+from sightline.types import Fixes, FloatArray, IntArray, PointKind, Track, ellipses, to_datetime64
 
 KNOTS_PER_MPS = 3600.0 / 1852.0
 
@@ -483,7 +483,8 @@ def _map(page: ReportPage) -> _Map | None:
             places = np.column_stack([thin.east_m, thin.north_m])
             estimates.append(places)
             paths.append((f"track {track.track_id}", _path(thin.time_utc_s, places, math.inf)))
-            shapes.extend(_ellipses(thin.covariance_m2, places, each))
+            apart = _apart(thin.covariance_m2, places)
+            shapes.extend(_ellipses(thin.covariance_m2[apart], places[apart], each))
             series.append(_series(name, thin, page.fixes.get(name)))
         boxes = errors = ""
         if pairs is not None and len(pairs):
@@ -589,6 +590,23 @@ def _xy(place: FloatArray) -> str:
     return f"{place[0]:.2f} {-place[1]:.2f}"
 
 
+def _apart(covariance_m2: FloatArray, places: FloatArray) -> IntArray:
+    """Of places one after another those that lie a standard deviation from the one before.
+
+    The ellipses of a target that hardly moves would lie on one another, and hide its track.
+    """
+    chosen: list[int] = []
+    for i, place in enumerate(places):
+        if not np.isfinite(covariance_m2[i]).all():
+            continue
+        if chosen:
+            off = place - places[chosen[-1]]
+            if off @ np.linalg.pinv(covariance_m2[chosen[-1]], hermitian=True) @ off < 1.0:
+                continue
+        chosen.append(i)
+    return np.array(chosen, dtype=np.int64)
+
+
 def _ellipses(covariance_m2: FloatArray, places: FloatArray, most: int) -> list[_Ellipse]:
     rows = np.unique(np.linspace(0, len(places) - 1, min(most, len(places))).astype(int))
     shape = ellipses(covariance_m2[rows], _PROBABILITY)
@@ -641,6 +659,17 @@ def _box_series(recording: str, pairs: ScoredPairs) -> dict[str, Any]:
     }
 
 
+def _to_sigma(value: float, sigma: float | None) -> str:
+    """A value to the digit at which it is unsure."""
+    if not math.isfinite(value):
+        return "–"
+    if sigma is None or not math.isfinite(sigma) or sigma <= 0.0:
+        return f"{value:.4g}".replace("-", "\N{MINUS SIGN}")
+    digits = min(max(1 - math.floor(math.log10(sigma)), 0), 6)
+    # Adding zero takes the sign from what is rounded to nothing.
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "\N{MINUS SIGN}")
+
+
 def _signed(value: float) -> str:
     if not math.isfinite(value):
         return "–"
@@ -669,5 +698,7 @@ def _environment() -> Environment:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters.update(number=number, percent=percent, signed=_signed, clock=clock_time)
+    environment.filters.update(
+        number=number, percent=percent, signed=_signed, to_sigma=_to_sigma, clock=clock_time
+    )
     return environment
