@@ -23,6 +23,7 @@ from sightline.training.data import Picture
 from sightline.training.export import TOLERANCE, ExportError, export_onnx
 from sightline.training.loop import (
     CHECKPOINT,
+    CONFIGURATION,
     WEIGHTS,
     TrainingResult,
     TrainingSettings,
@@ -311,6 +312,16 @@ def test_a_folder_with_another_run_is_refused(tmp_path: Path) -> None:
     _train(tmp_path, "harbour", 1)
     with pytest.raises(InputError, match="other settings or other data"):
         _train(tmp_path, "harbour", 2)
+
+
+def test_a_configuration_of_something_else_is_not_written_over(tmp_path: Path) -> None:
+    path = tmp_path / CONFIGURATION
+    for content in ('{"editor": "mine"}', "[1]", "no JSON"):
+        path.write_text(content, encoding="utf-8")
+        with pytest.raises(InputError, match="is there, and of no training"):
+            _train(tmp_path, "harbour", 1)
+        assert path.read_text(encoding="utf-8") == content
+        assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path: Path) -> None:

@@ -610,12 +610,24 @@ def versions() -> dict[str, str]:
 
 def _write_configuration(folder: Path, content: Mapping[str, Any]) -> None:
     path = folder / CONFIGURATION
-    if path.exists() and (folder / CHECKPOINT).exists():
-        return
+    if path.exists():
+        if (folder / CHECKPOINT).exists():
+            return
+        _refuse_foreign(path)
     with atomic_path(path) as temporary:
         temporary.write_text(
             json.dumps({**content, "versions": versions()}, indent=2) + "\n", encoding="utf-8"
         )
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse to write over a configuration that no training wrote."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        content = None
+    if not (isinstance(content, dict) and "architecture" in content):
+        raise InputError(f"{path}: is there, and of no training; train into an empty folder")
 
 
 def _write_history(path: Path, rows: Sequence[Mapping[str, float]]) -> None:
