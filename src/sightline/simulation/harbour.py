@@ -41,6 +41,7 @@ DOCK = LocalPlane(latitude_deg=54.3233, longitude_deg=10.1394)
 
 _LEAST_SHARE_SEEN = 0.6
 _PAST_S = 30.0
+_COMPASS_LASTS_S = 120.0
 
 Of = Literal["target", "all", "moving"]
 
@@ -349,8 +350,10 @@ class Harbour:
                 turn = self.knock.turn(self.camera, times + self.start_utc_s)
             pixels = self.camera.project(boat.points_enu_m(times), turn)
         else:
-            seen = self.platform.seen(boat)
-            pixels = self.camera.project(seen.points_enu_m(times), self.platform.turn(times))
+            points = self.platform.seen(boat).points_enu_m(times)
+            # The camera's own height stays what it is; the water falls as the hull rises.
+            points[..., 2] -= self.platform.heave_m(times)[:, None]
+            pixels = self.camera.project(points, self.platform.turn(times))
         return np.concatenate([pixels.min(axis=1), pixels.max(axis=1)], axis=-1)
 
     def boxes(
@@ -464,13 +467,18 @@ class Harbour:
         return self._log(rng, times, chosen.path.at(times - self.start_utc_s), noise, chosen.name)
 
     def platform_log(
-        self, noise: ReceiverNoise = EXACT, *, heading_std_deg: float = 0.3
+        self,
+        noise: ReceiverNoise = EXACT,
+        *,
+        heading_std_deg: float = 0.3,
+        heading_drift_deg: float = 0.7,
     ) -> Platform:
         """What a platform that moves logs of itself, over the whole duration.
 
         Args:
             noise: Of its receiver; it keeps even intervals.
             heading_std_deg: Of its compass, white.
+            heading_drift_deg: Standard deviation of the compass's error that lasts for minutes.
 
         Raises:
             InputError: The camera stands still.
@@ -482,7 +490,9 @@ class Harbour:
         since = times - self.start_utc_s
         fixes = self._log(rng, times, self.platform.at(since), noise, "platform")
         heading = self.platform.heading_at_deg(since)
-        heading = (heading + heading_std_deg * rng.standard_normal(times.size)) % 360.0
+        heading = heading + heading_std_deg * rng.standard_normal(times.size)
+        drift = _correlated(rng, times, _COMPASS_LASTS_S, 1)[:, 0]
+        heading = (heading + heading_drift_deg * drift) % 360.0
         return Platform(fixes, Headings(times, heading))
 
     def _log(

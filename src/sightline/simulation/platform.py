@@ -14,6 +14,7 @@ from sightline.simulation.paths import Path
 from sightline.types import FloatArray
 
 _GRID_PX = 16
+_GRAVITY_MPS2 = 9.81
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +52,24 @@ class Sway:
         angle = 2.0 * np.pi * time_s[:, None] / self.period_s + self.phase_rad
         return np.asarray((self.amplitude_deg * np.sin(angle)).sum(axis=1))
 
+    def elevation_m(self, time_s: FloatArray) -> FloatArray:
+        r"""(N,) metres by which the water lifts a hull that lies along its slope.
+
+        A wave of deep water whose slope is :math:`\theta \sin \omega t` has the elevation
+        :math:`(\theta / k) \cos \omega t`, with the wave number :math:`k = \omega^2 / g`.
+        """
+        frequency = 2.0 * np.pi / self.period_s
+        angle = frequency * time_s[:, None] + self.phase_rad
+        amplitude = np.radians(self.amplitude_deg) * _GRAVITY_MPS2 / frequency**2
+        return np.asarray((amplitude * np.cos(angle)).sum(axis=1))
+
 
 @dataclass(frozen=True, eq=False)
 class SimulatedPlatform:
-    """A vessel that goes straight on, and yaws, pitches and rolls as it goes.
+    """A vessel that goes straight on, and yaws, pitches, rolls and heaves as it goes.
 
-    The lens is where the hull turns about, so it neither heaves nor swings.
+    It is small against the waves: it pitches and rolls with the slope of the water, and heaves with
+    its height. The lens is where the hull turns about, so it does not swing besides.
 
     Attributes:
         start_m: East and north of the origin at time 0.
@@ -108,6 +121,11 @@ class SimulatedPlatform:
         """(N,) where the bow points, in [0, 360)."""
         times = np.atleast_1d(np.asarray(time_s, dtype=float))
         return np.asarray((self.heading_deg + self.yaw.at(times)) % 360.0)
+
+    def heave_m(self, time_s: ArrayLike) -> FloatArray:
+        """(N,) metres by which the lens is higher above the water's mean level than on average."""
+        times = np.atleast_1d(np.asarray(time_s, dtype=float))
+        return self.pitch.elevation_m(times) + self.roll.elevation_m(times)
 
     def turn(self, time_s: ArrayLike) -> FloatArray:
         """(N, 3, 3), from directions in the world (east, north, up) to what they are for a hull.
@@ -203,16 +221,27 @@ class Warp:
         rows = np.arange(0.5, height + _GRID_PX, _GRID_PX)
         self._rays = camera.directions(np.stack(np.meshgrid(columns, rows), axis=-1))
 
-    def apply(self, image: NDArray[np.uint8], turn: FloatArray) -> NDArray[np.uint8]:
+    def apply(
+        self, image: NDArray[np.uint8], turn: FloatArray, heave_m: float = 0.0
+    ) -> NDArray[np.uint8]:
         """The picture of the turned camera.
+
+        What a camera that has risen sees is right on the water, where boxes end; the tops of boats
+        are off by their height times the share by which the camera rose.
 
         Args:
             image: Of `still`.
             turn: (3, 3) as of `SimulatedPlatform.turn`.
+            heave_m: How much higher the camera is.
         """
         # A ray of the hull is this one in the world; it is looked up where the still camera has it.
-        lens = np.array([0.0, 0.0, self.still.height_m])
-        coarse = self.still.project(lens + self._rays @ turn).astype(np.float32) - np.float32(0.5)
+        height = self.still.height_m
+        rays = self._rays @ turn
+        down = rays[..., 2] < 0.0
+        # From another height the same point of the water is seen at another depression.
+        rays[..., 2] = np.where(down, rays[..., 2] * height / (height + heave_m), rays[..., 2])
+        lens = np.array([0.0, 0.0, height])
+        coarse = self.still.project(lens + rays).astype(np.float32) - np.float32(0.5)
         width, height = self._size
         fine = cv2.warpAffine(
             coarse,

@@ -508,8 +508,9 @@ def _painter(harbour: Harbour, look: Look | None) -> Callable[[float], Image]:
     renderer = Renderer(still, look)
 
     def paint(time_utc_s: float) -> Image:
-        turn = platform.turn([time_utc_s - harbour.start_utc_s])[0]
-        return warp.apply(renderer.image(time_utc_s), turn)
+        since = [time_utc_s - harbour.start_utc_s]
+        heave = float(platform.heave_m(since)[0])
+        return warp.apply(renderer.image(time_utc_s), platform.turn(since)[0], heave)
 
     return paint
 
