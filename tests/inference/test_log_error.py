@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
@@ -7,6 +9,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from sightline.inference.camera_model import CameraRegressor
 from sightline.inference.log_error import (
+    HEAVE_S,
     LONGEST_BLOCK_S,
     MOST_IN_BLOCK,
     LogError,
@@ -90,7 +93,7 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> 
     covariance = np.linalg.inv(table[:, :3].T @ table[:, :3] + np.eye(3))
     step = covariance @ table[:, :3].T @ table[:, 3]
     solved = whitening.backward(white)
-    by_variance, by_size, by_length = whitening.slopes(
+    by_variance, by_size, by_length, _ = whitening.slopes(
         solved[:, :, 3] - solved[:, :, :3] @ step, solved[:, :, :3], covariance, DRIFT_S
     )
     given = world.variance_px2.ravel()
@@ -151,3 +154,45 @@ def test_sightings_that_come_faster_than_needed_are_thinned_evenly() -> None:
     assert max(block.rows.size for block in blocks) <= MOST_IN_BLOCK
     in_blocks = np.sort(np.concatenate([block.rows for block in blocks]))
     np.testing.assert_array_equal(in_blocks, np.flatnonzero(np.isfinite(time[chosen])))
+
+
+HEAVE_M = 0.3
+
+
+def heaving(world: World, heave_m: float = HEAVE_M) -> tuple[FloatArray, FloatArray]:
+    """(11, 2) pixels a metre of height, and the covariance (22, 22) that the heave adds."""
+    by_height = np.random.default_rng(11).normal(0.0, 8.0, (11, 2))
+    kernel = world.kernel(heave_m, HEAVE_S)
+    return by_height, np.einsum("ia,ij,jc->iajc", by_height, kernel, by_height).reshape(22, 22)
+
+
+def test_heave_is_another_error_that_lasts() -> None:
+    world = World()
+    by_height, added = heaving(world)
+    whitening = Whitening(
+        *(blocks_of(world.time_s, world.group), world.variance_px2, world.by_place),
+        *(DRIFT_M, DRIFT_S, by_height, HEAVE_M),
+    )
+    covariance = world.covariance(world.variance_px2) + added
+    made = whitening.forward(np.eye(22).reshape(11, 2, 22)).reshape(22, 22)
+    np.testing.assert_allclose(made @ covariance @ made.T, np.eye(22), atol=1e-10)
+
+    def negative_log(logs: FloatArray) -> float:
+        heave_m, drift_m = np.exp(logs)
+        total = world.covariance(world.variance_px2, drift_m) + heaving(world, heave_m)[1]
+        return -float(multivariate_normal(cov=total).logpdf(world.pixel_px.ravel()))
+
+    solved = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))
+    nothing = np.zeros((11, 2, 1))
+    _, by_size, _, by_heave = whitening.slopes(solved[:, :, 0], nothing, np.zeros((1, 1)), DRIFT_S)
+    expected = approx_fprime(np.log([HEAVE_M, DRIFT_M]), negative_log, 1e-6)
+    np.testing.assert_allclose([by_heave, by_size], expected, rtol=1e-3, atol=1e-4)
+
+
+def test_heave_moves_ranges_of_a_recording_together() -> None:
+    world = World()
+    plain = LogError(world.time_s, world.by_place[:, 0], world.group, DRIFT_M, DRIFT_S)
+    lifted = replace(plain, heave=0.05)
+    np.testing.assert_allclose(
+        lifted.covariance() - plain.covariance(), world.kernel(0.05, HEAVE_S), atol=1e-12
+    )

@@ -66,8 +66,8 @@ _MIDDLE_SIGMA_M = 1.0
 _BEAM_SHARE = 0.35
 _SIZE_SHARE = 0.25
 # Medians of the parts of `PixelNoise` before any data, and standard deviations of their logarithms.
-_NOISE_CENTRE = (1.0, 0.15, 2.0, 0.7, 1.0, 20.0)
-_NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5)
+_NOISE_CENTRE = (1.0, 0.15, 2.0, 0.7, 1.0, 20.0, 0.15)
+_NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5, 1.0)
 
 
 _BEHIND = (
@@ -196,6 +196,8 @@ class PixelNoise:
             told apart.
         drift_m: Of the part of the log's error that lasts, metres east and metres north.
         drift_s: How long it lasts: it decays as ``exp(-Δt / drift_s)``.
+        heave_m: Of the camera's height, which moves all rows together for about a second: of a
+            camera on a vessel.
         middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
             known where the course is.
     """
@@ -206,6 +208,7 @@ class PixelNoise:
     place_m: float = 1.0
     drift_m: float = 1.0
     drift_s: float = 20.0
+    heave_m: float = 0.0
     middle_m: float = 0.0
 
     def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -214,9 +217,10 @@ class PixelNoise:
         Args:
             squared_pixels_per_metre: (N,) the square of how large a metre at the target looks.
         """
+        row_m2 = self.row_m**2 + self.heave_m**2
         return (
             np.full_like(squared_pixels_per_metre, self.column_px**2),
-            self.row_px**2 + self.row_m**2 * squared_pixels_per_metre,
+            self.row_px**2 + row_m2 * squared_pixels_per_metre,
         )
 
     def scaled(self, factor: float) -> PixelNoise:
@@ -228,6 +232,7 @@ class PixelNoise:
             self.place_m * factor,
             self.drift_m * factor,
             self.drift_s,
+            self.heave_m * factor,
             self.middle_m,
         )
 
@@ -371,6 +376,7 @@ def fit_camera(
     beliefs: Mapping[int, SourceBelief] | None = None,
     noise: PixelNoise | None = None,
     position_known: bool = True,
+    heaving: bool = False,
     starts: int = 8,
     seed: int = 0,
 ) -> CameraFit:
@@ -384,6 +390,7 @@ def fit_camera(
         beliefs: About single sources, where more is known of them than the prior says.
         noise: Noise of a foot, taken as known; absent: estimated from the residuals.
         position_known: Whether the origin of the plane is where the camera is said to stand.
+        heaving: Whether the camera is on a vessel, whose heave is to be told from the log's errors.
         starts: How many random starting cameras, the first at the prior's mean.
         seed: Of the random starts.
 
@@ -393,11 +400,13 @@ def fit_camera(
     _check_enough(sightings)
     prior = prior or CameraPrior()
     chosen = thinned(sightings.time_s, sightings.log)
-    everything = _Problem(sightings, image_size_px, n_sources, prior, position_known, beliefs)
+    everything = _Problem(
+        sightings, image_size_px, n_sources, prior, position_known, beliefs, heaving
+    )
     problem = everything
     if chosen.size < len(sightings):
         problem = _Problem(
-            sightings[chosen], image_size_px, n_sources, prior, position_known, beliefs
+            sightings[chosen], image_size_px, n_sources, prior, position_known, beliefs, heaving
         )
     found: list[tuple[float, FloatArray]] = []
     assumed = noise or PixelNoise()
@@ -410,6 +419,8 @@ def fit_camera(
     if not found:
         raise FitError(_BEHIND)
     found.sort(key=lambda pair: pair[0])
+    if everything.heaving and noise is None:
+        assumed = replace(assumed, heave_m=_NOISE_CENTRE[-1])
     estimated, best = assumed, None
     start = np.append(found[0][1], 0.0)
     for _ in range(1 if noise is not None else _ROUNDS):
@@ -485,6 +496,7 @@ class _Problem:
         prior: CameraPrior,
         position_known: bool,
         beliefs: Mapping[int, SourceBelief] | None,
+        heaving: bool = False,
     ) -> None:
         self.sightings = sightings
         self.image_size_px = image_size_px
@@ -507,6 +519,8 @@ class _Problem:
         self.size = self.mean.size
         self.timed = np.isfinite(sightings.time_s)
         self.blocks = blocks_of(sightings.time_s, sightings.log)
+        # Without times heave is as any other noise of the rows.
+        self.heaving = heaving and bool(self.blocks)
         speed = np.hypot(*sightings.velocity_mps.T)
         steered = (sightings.source != NO_SOURCE) & (speed > _UNDER_WAY_MPS)
         self.bow = np.where(
@@ -648,7 +662,8 @@ class _Problem:
 
         A control point has the pixel part of a box's noise.
         """
-        return np.stack(noise.variances_px2(self.apparent(vector) ** 2), axis=1)
+        own = replace(noise, heave_m=0.0) if self.heaving else noise
+        return np.stack(own.variances_px2(self.apparent(vector) ** 2), axis=1)
 
     def place_sigma(self, noise: PixelNoise) -> FloatArray:
         """(N,) standard deviations of the places, metres; a control point has its own."""
@@ -698,7 +713,13 @@ class _Problem:
             variance = self.pixel_variance(vector, noise)
             variance += place_variance * np.sum(by_place**2, axis=2)
             whitening = Whitening(
-                self.blocks, variance / weight, by_place, noise.drift_m, noise.drift_s
+                self.blocks,
+                variance / weight,
+                by_place,
+                noise.drift_m,
+                noise.drift_s,
+                by_point[:, :, 2],
+                noise.heave_m,
             )
             both = whitening.forward(np.concatenate([jacobian, residual[:, :, None]], axis=2))
             flat = both.reshape(-1, vector.size + 1)
@@ -784,7 +805,7 @@ class _Problem:
         return bool(np.mean(forward > 0.0) > 0.5)
 
     def linearise(self, found: _Refined) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (N, 2), derivatives by parameters and by places, where the log is put right.
+        """Residuals (N, 2), derivatives by parameters and by points, where the log is put right.
 
         What that took from the residuals is put back to first order. Only what lasts is put right:
         boxes that two people drew at one moment show one place. With derivatives at two places, a
@@ -793,7 +814,7 @@ class _Problem:
         aspect = self.aspect(found.vector)
         pixel, jacobian, by_point = self.project(found.vector, aspect, found.drift_m)
         put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.drift_m)
-        return self.sightings.pixel_px - pixel + put_back, jacobian, by_point[:, :, :2]
+        return self.sightings.pixel_px - pixel + put_back, jacobian, by_point
 
     def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
         """The noise under which the residuals are likeliest, with a weak prior on each part.
@@ -801,7 +822,8 @@ class _Problem:
         The likelihood is that of the residuals with the parameters integrated out, linearised
         where they are (restricted maximum likelihood).
         """
-        residual, jacobian, by_place = self.linearise(found)
+        residual, jacobian, by_point = self.linearise(found)
+        by_place = by_point[:, :, :2]
         n, size = len(self.sightings), found.vector.size
         mean, beliefs = self.beliefs(size)
         precision, off = beliefs.T @ beliefs, found.vector - mean
@@ -813,14 +835,17 @@ class _Problem:
         parts[1, :, 1] = self.apparent(found.vector) ** 2
         parts[2, :, 0] = 1.0
         parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
-        count = 6 if self.blocks else 4
+        count = 7 if self.heaving else 6 if self.blocks else 4
         centre, width = np.log(_NOISE_CENTRE[:count]), np.array(_NOISE_WIDTH[:count])
         columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
             drift_m, drift_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
+            heave_m = float(np.exp(t[6])) if count > 6 else 0.0
             variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
-            whitening = Whitening(self.blocks, variance, by_place, drift_m, drift_s)
+            whitening = Whitening(
+                self.blocks, variance, by_place, drift_m, drift_s, by_point[:, :, 2], heave_m
+            )
             both = whitening.forward(columns)
             flat = both.reshape(-1, size + 1)
             factor = cho_factor(
@@ -832,11 +857,11 @@ class _Problem:
             value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
             solved = whitening.backward(both)
             covariance = cho_solve(factor, np.eye(size), check_finite=False)
-            by_variance, *by_drift = whitening.slopes(
+            by_variance, *by_lasting = whitening.slopes(
                 solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance, drift_s
             )
             by_part = np.tensordot(parts, by_variance / found.weight, 2)
-            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_drift])[:count]
+            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_lasting])[:count]
             belief = (t - centre) / width
             return value + 0.5 * float(belief @ belief), slopes + belief / width
 
@@ -857,7 +882,8 @@ class _Problem:
         self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
     ) -> CameraFit:
         """The fit with its uncertainty, from the best camera and where the starts ended."""
-        residual, jacobian, by_place = self.linearise(found)
+        residual, jacobian, by_point = self.linearise(found)
+        by_place = by_point[:, :, :2]
         variance = self.pixel_variance(found.vector, noise)
         variance += (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
         # Errors of one recording are alike, so that it tells less than its number of boxes.
@@ -869,6 +895,8 @@ class _Problem:
             by_place,
             noise.drift_m,
             noise.drift_s,
+            by_point[:, :, 2],
+            noise.heave_m,
         )
         scaled = whitening.forward(jacobian).reshape(-1, found.vector.size)
         _, beliefs = self.beliefs(found.vector.size)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -67,6 +67,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
         prior: Beliefs about the camera; None: those of an ordinary one.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
+        heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.
         random_state: Seed of the starts.
         above_sigma_m: How far off it is how high the water stands (``above_m``); 0 where that is
@@ -86,6 +87,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         residual: bool = True,
         prior: CameraPrior | None = None,
         position_known: bool = True,
+        heaving: bool = False,
         starts: int = 8,
         random_state: int = 0,
         above_sigma_m: float = 0.0,
@@ -94,6 +96,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.residual = residual
         self.prior = prior
         self.position_known = position_known
+        self.heaving = heaving
         self.starts = starts
         self.random_state = random_state
         self.above_sigma_m = above_sigma_m
@@ -186,6 +189,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             },
             noise=PixelNoise(drift_m=0.0) if n == 0 else None,
             position_known=self.position_known,
+            heaving=self.heaving,
             starts=self.starts,
             seed=self.random_state,
         )
@@ -328,7 +332,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
         return self._biases[source]
 
-    def _see(self, boxes: FloatArray, source: str, above_m: FloatArray) -> _Seen:
+    def _see(
+        self, boxes: FloatArray, source: str, above_m: FloatArray, *, heave: bool = True
+    ) -> _Seen:
         bias_px, bias_m, root = self._root(source)
         camera = self.camera_
         column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
@@ -340,7 +346,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
         slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
         by_column, by_row = by[BY_COLUMN], by[BY_ROW]
-        of_column, of_row = self.fit_.noise.variances_px2(camera.focal_px**2 / slant)
+        box = self.fit_.noise if heave else replace(self.fit_.noise, heave_m=0.0)
+        of_column, of_row = box.variances_px2(camera.focal_px**2 / slant)
         noise = of_column * by_column * by_column
         noise += of_row * by_row * by_row
         noise += self._place_variance
@@ -447,7 +454,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for name in np.unique(names):
                 rows = np.flatnonzero(names == name)
-                seen = self._see(boxes[rows], str(name), above_m[rows])
+                # Heave is in the error that lasts, below.
+                seen = self._see(boxes[rows], str(name), above_m[rows], heave=False)
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
                 noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
                 sight[rows] = np.stack([seen.sine, seen.cosine], axis=1) / seen.distance[:, None]
@@ -473,6 +481,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 self._log,
                 self.fit_.noise.drift_m,
                 self.fit_.noise.drift_s,
+                # Heave changes all ranges by the same share, and no bearing.
+                self.fit_.noise.heave_m / camera.height_m if axis == 0 else 0.0,
             )
             return ResidualProcess(
                 inputs[usable],
@@ -588,6 +598,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                     np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
                     model.fit_.noise.drift_m,
                     model.fit_.noise.drift_s,
+                    model.fit_.noise.heave_m / model.camera_.height_m if key == "range" else 0.0,
                 )
                 if f"{key}.time" in arrays
                 else None,

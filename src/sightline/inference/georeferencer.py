@@ -563,9 +563,12 @@ def _fit_pairs(
     else:
         regressor = CameraRegressor(
             image_size_px,
-            residual=model == "camera+gpr",
+            # On a vessel the waves that lift the camera while a target passes a place would be
+            # learned as of the place.
+            residual=model == "camera+gpr" and not scene.moves,
             prior=prior,
             position_known=position_known,
+            heaving=scene.moves,
             starts=8 if position_known else 24,
             random_state=seed,
             above_sigma_m=0.0 if water_level_m is None else LEVEL_SIGMA_M,

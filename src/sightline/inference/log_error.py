@@ -7,6 +7,10 @@ north, anew in each recording and for each vessel. Its covariance is
 ``drift_m² exp(-|Δt| / drift_s)``, but smooth below a second, since fixes come a second apart and
 are interpolated between. Residuals are whitened by what it and the boxes' own noise make together
 (generalised least squares).
+
+The heave of a camera that moves lasts as well, for a second or so, and moves the rows of all boxes.
+It is another such process, in metres of height, anew in each recording. Were it not told apart it
+would be taken for an error of the log, and that is none of the boxes'.
 """
 
 from __future__ import annotations
@@ -27,6 +31,9 @@ MOST_IN_BLOCK = 256
 # exp(-(sqrt(Δt² + s²) - s) / drift_s) is positive definite: the exponent is a Bernstein function of
 # Δt² (Schoenberg).
 _SMOOTH_S = 1.0
+
+HEAVE_S = 0.7
+"""How long heave lasts: by this a wave of five seconds is half gone after a fourth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +84,7 @@ class LogError:
         log: (N,) int64, which log tells each place; errors of different ones are independent.
         drift_m: Standard deviation in east and in north.
         drift_s: How long it lasts.
+        heave: Standard deviation of what the camera's heave adds to the coordinate.
     """
 
     time_s: FloatArray
@@ -84,6 +92,7 @@ class LogError:
     log: IntArray
     drift_m: float
     drift_s: float
+    heave: float = 0.0
 
     def __getitem__(self, rows: IntArray | BoolArray) -> LogError:
         return replace(
@@ -92,9 +101,13 @@ class LogError:
 
     def covariance(self) -> FloatArray:
         """(N, N) of the coordinate."""
-        kernel = self.drift_m**2 * np.exp(-_apart(self.time_s) / self.drift_s)
+        apart = _apart(self.time_s)
+        kernel = self.drift_m**2 * np.exp(-apart / self.drift_s)
         alike = (self.log[:, None] == self.log[None, :]) & np.isfinite(kernel)
-        return np.asarray(np.where(alike, kernel, 0.0) * (self.direction @ self.direction.T))
+        out = np.where(alike, kernel, 0.0) * (self.direction @ self.direction.T)
+        if self.heave > 0.0:
+            out += np.where(alike, self.heave**2 * np.exp(-apart / HEAVE_S), 0.0)
+        return np.asarray(out)
 
 
 def _apart(time_s: FloatArray) -> FloatArray:
@@ -111,6 +124,8 @@ class Whitening:
         by_place: (N, 2, 2) pixels a metre, derivatives of columns and rows by east and north.
         drift_m: Standard deviation of the lasting error.
         drift_s: How long it lasts.
+        by_height: (N, 2) pixels a metre, derivatives of columns and rows by the camera's height.
+        heave_m: Standard deviation of that height.
     """
 
     def __init__(
@@ -120,15 +135,23 @@ class Whitening:
         by_place: FloatArray,
         drift_m: float,
         drift_s: float,
+        by_height: FloatArray | None = None,
+        heave_m: float = 0.0,
     ) -> None:
         self._blocks = blocks
         self._sigma = np.sqrt(variance_px2)
         self._by_place = by_place
+        self._by_height = by_height if heave_m > 0.0 else None
+        self._heave_m = heave_m
         self.variance_px2 = variance_px2
         self.kernels = [drift_m**2 * np.exp(-block.apart_s / drift_s) for block in blocks]
         self.factors = []
         for block, kernel in zip(blocks, self.kernels, strict=True):
             covariance = np.kron(kernel, np.ones((2, 2))) * self.turned(block)
+            if self._by_height is not None:
+                covariance += np.kron(self._heave_kernel(block), np.ones((2, 2))) * self._lifted(
+                    block
+                )
             covariance[np.diag_indices_from(covariance)] += variance_px2[block.rows].ravel()
             self.factors.append(cholesky(covariance, lower=True, check_finite=False))
 
@@ -136,6 +159,15 @@ class Whitening:
         """(2 n, 2 n) by how much an error that two sightings share moves both their pixels."""
         flat = self._by_place[block.rows].reshape(-1, 2)
         return np.asarray(flat @ flat.T)
+
+    def _lifted(self, block: Block) -> FloatArray:
+        """(2 n, 2 n) as `turned`, of a heave that two sightings share."""
+        assert self._by_height is not None, "the caller has looked"
+        flat = self._by_height[block.rows].ravel()
+        return np.outer(flat, flat)
+
+    def _heave_kernel(self, block: Block) -> FloatArray:
+        return np.asarray(self._heave_m**2 * np.exp(-block.apart_s / HEAVE_S))
 
     def forward(self, values: FloatArray) -> FloatArray:
         """Whiten (N, 2, K) pixels."""
@@ -181,8 +213,8 @@ class Whitening:
 
     def slopes(
         self, weights: FloatArray, solved: FloatArray, covariance: FloatArray, drift_s: float
-    ) -> tuple[FloatArray, float, float]:
-        """Slopes of minus the log-likelihood by all variances, and by the drift's parameters.
+    ) -> tuple[FloatArray, float, float, float]:
+        """Slopes of minus the log-likelihood by all variances, and by what lasts.
 
         Args:
             weights: (N, 2) inverse covariance times the residuals that the parameters leave.
@@ -191,13 +223,13 @@ class Whitening:
             drift_s: How long the lasting error lasts.
 
         Returns:
-            (N, 2) by each variance; by the logarithm of ``drift_m``; and of ``drift_s``.
+            (N, 2) by each variance; by the logarithms of ``drift_m``, ``drift_s`` and ``heave_m``.
         """
         by_variance = 1.0 / self.variance_px2 - np.einsum(
             "nik,kl,nil->ni", solved, covariance, solved, optimize=True
         )
         by_variance -= weights**2
-        by_size, by_length = 0.0, 0.0
+        by_size, by_length, by_heave = 0.0, 0.0, 0.0
         for block, kernel, factor in zip(self._blocks, self.kernels, self.factors, strict=True):
             inverse, _ = lapack.dpotri(factor, lower=True)
             inverse += np.tril(inverse, -1).T
@@ -205,9 +237,12 @@ class Whitening:
             own = weights[block.rows].ravel()
             inner = inverse - part @ covariance @ part.T - np.outer(own, own)
             by_variance[block.rows] = np.diag(inner).reshape(-1, 2)
-            inner *= self.turned(block)
             n = block.rows.size
+            if self._by_height is not None:
+                lifted = (inner * self._lifted(block)).reshape(n, 2, n, 2).sum(axis=(1, 3))
+                by_heave += float(np.vdot(lifted, self._heave_kernel(block)))
+            inner *= self.turned(block)
             together = inner.reshape(n, 2, n, 2).sum(axis=(1, 3)) * kernel
             by_size += float(together.sum())
             by_length += 0.5 * float(np.vdot(together, block.apart_s)) / drift_s
-        return 0.5 * by_variance, by_size, by_length
+        return 0.5 * by_variance, by_size, by_length, by_heave
