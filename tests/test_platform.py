@@ -135,3 +135,89 @@ def test_a_track_is_put_where_the_platform_was() -> None:
 def test_headings_that_are_none(times, headings) -> None:
     with pytest.raises(InputError):
         Headings(np.array(times), np.array(headings))
+
+
+def noisy_way(seed: int, way_m: np.ndarray) -> Platform:
+    """A fix a second from a receiver whose error lasts for twenty seconds."""
+    rng = np.random.default_rng(seed)
+    kept = np.exp(-1.0 / 20.0)
+    off = POSITION_SIGMA_M * rng.standard_normal(way_m.shape)
+    for i in range(1, len(off)):
+        off[i] = kept * off[i - 1] + np.sqrt(1.0 - kept**2) * off[i]
+    return Platform(log(np.arange(len(way_m), dtype=float), way_m + off))
+
+
+def straight(n: int) -> np.ndarray:
+    return np.arange(n)[:, None] * np.array([1.5, -0.8])
+
+
+@pytest.mark.parametrize("until_then", [False, True])
+def test_the_velocity_of_a_platform_is_known_as_well_as_is_stated(until_then: bool) -> None:
+    rows = np.arange(60, 235, 5)
+    distances, errors = [], []
+    for seed in range(40):
+        # White acceleration of 0.003 m²/s³, that is so much each tenth of a second.
+        push = np.sqrt(0.003 * 0.1) * np.random.default_rng([seed, 1]).normal(size=(2400, 2))
+        velocity = np.cumsum(push, axis=0) + np.array([1.5, -0.8])
+        way = np.cumsum(0.1 * velocity, axis=0)[::10]
+        velocity = velocity[::10]
+        platform = noisy_way(seed, way)
+        pose = platform.pose(rows.astype(float), PLANE, until_then=until_then)
+        off = np.stack([pose.en_m - way[rows], pose.velocity_mps - velocity[rows]], axis=1)
+        solved = np.linalg.solve(pose.covariance, off)
+        distances.append((off * solved).sum(axis=(1, 2)))
+        errors.append(off[:, 1])
+    # Two numbers along each of two axes.
+    assert np.mean(distances) == pytest.approx(4.0, rel=0.35)
+    # Two fixes a second apart tell a velocity to half a metre a second.
+    assert np.std(errors) < 0.25
+
+
+def test_until_then_nothing_later_counts() -> None:
+    whole = noisy_way(3, straight(200))
+    part = Platform(
+        Fixes(
+            *(getattr(whole.fixes, name)[:101] for name in ("time_utc_s", "latitude_deg")),
+            whole.fixes.longitude_deg[:101],
+        )
+    )
+    times = np.arange(10.0, 100.0, 3.7)
+    one, other = (p.pose(times, PLANE, until_then=True) for p in (whole, part))
+    np.testing.assert_allclose(one.en_m, other.en_m, atol=1e-9)
+    np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-12)
+    smoothed = whole.pose(times, PLANE)
+    assert np.abs(smoothed.en_m - one.en_m).max() > 0.1
+
+
+def test_a_platform_that_circles_is_followed_round() -> None:
+    angle = np.arange(300) / 20.0
+    way = 80.0 * np.stack([np.sin(angle), np.cos(angle)], axis=1)
+    pose = noisy_way(1, way).pose(np.arange(5.0, 290.0), PLANE)
+    off = pose.en_m - way[5:290]
+    assert np.sqrt(np.mean(off**2)) < 2.0
+    assert np.mean(off**2) < 1.6 * pose.covariance[:, 0, 0].mean()
+    speed = np.hypot(*pose.velocity_mps.T)
+    assert np.std(speed - 4.0) < 0.5
+
+
+def test_silence_in_the_log_leaves_no_place_and_no_way_across_it() -> None:
+    times = np.append(np.arange(0.0, 40.0), np.arange(100.0, 140.0))
+    place = np.where(times < 60.0, 2.0 * times, 500.0 - 3.0 * times)
+    platform = Platform(log(times, np.stack([place, np.zeros(80)], axis=1)))
+    pose = platform.pose([20.5, 70.0, 120.5], PLANE)
+    np.testing.assert_allclose(pose.velocity_mps[[0, 2], 0], [2.0, -3.0], atol=1e-2)
+    assert np.isnan(pose.en_m[1]).all()
+
+
+def test_a_track_is_as_unsure_of_its_velocity_as_the_platform_is_of_its_own() -> None:
+    times = np.arange(0.0, 20.0)
+    platform = Platform(log(times, np.stack([2.0 * times, np.zeros(20)], axis=1)))
+    seen = positions(np.full((20, 2), 50.0), np.tile(np.eye(2), (20, 1, 1)))
+    made = method("rts").apply(times, seen, track_id=1)
+    pose = platform.pose(made.time_utc_s, PLANE)
+    track = moved_track(made, pose)
+    np.testing.assert_allclose(
+        track.velocity_covariance_m2ps2 - made.velocity_covariance_m2ps2,
+        pose.covariance[:, 1:, 1:] * np.eye(2),
+    )
+    assert (pose.covariance[:, 1, 1] > 0.0).all()

@@ -2,30 +2,44 @@
 
 Three frames meet here:
 
-* the **earth's** plane, east and north of a fixed origin;
+* the **earth's** plane, east and north of a fixed origin. Targets are told apart and forecast
+  there, because they go straight there;
 * **north up**: east and north of the platform as it moves. Targets are smoothed there, because the
   camera looks from its origin;
 * the **bow's**: to starboard and ahead of the platform. A camera bolted to the platform always
   sees the same of it, so this is the plane that a model learns: its east is starboard, its north
   ahead.
+
+A receiver's error lasts for tens of seconds, and what it changes by from one fix to the next is no
+motion: two fixes a second apart tell a velocity to half a metre a second, which is thirty metres
+after a minute. So the platform's way is estimated from its log (`_Way`), and how unsure its place
+and its velocity are belongs to whatever is seen from it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
-from sightline.types import BoolArray, Fixes, FloatArray, Headings, Positions, Track
+from sightline.types import BoolArray, Fixes, FloatArray, Headings, IntArray, Positions, Track
 
 POSITION_SIGMA_M = 1.5
 """How far off the platform's own log is taken to be, of each of east and north."""
 HEADING_SIGMA_DEG = 1.0
 """How far off a logged heading is taken to be; a constant part is the camera's and is learned."""
 
+_RECEIVER_LASTS_S = 20.0
+_FIX_SIGMA_M = 0.3
+_SPEED_SIGMA_MPS = 30.0
+# The spectral density of the platform's acceleration, m²/s³, is the likeliest of these.
+_ACCELERATIONS_M2PS3 = np.geomspace(1e-5, 1.0, 11)
+_APART_S = 0.9
+_LEARNED_FROM = 3600
 _COURSE_SPAN_S = 8.0
 _LEAST_COURSE_SIGMAS = 4.0
 
@@ -39,12 +53,20 @@ class Pose:
         velocity_mps: (N, 2) float64, east and north.
         heading_rad: (N,) float64, clockwise from north; NaN where nothing tells it.
         heading_sigma_rad: (N,) float64.
+        covariance: (N, 2, 2) float64, of place and velocity along either axis. Absent: of a place
+            that is off by `POSITION_SIGMA_M`.
     """
 
     en_m: FloatArray
     velocity_mps: FloatArray
     heading_rad: FloatArray
     heading_sigma_rad: FloatArray
+    covariance: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if self.covariance.size == 0:
+            stated = np.tile(np.diag([POSITION_SIGMA_M**2, 0.0]), (len(self.en_m), 1, 1))
+            object.__setattr__(self, "covariance", stated)
 
     @property
     def known(self) -> BoolArray:
@@ -65,23 +87,31 @@ class Platform:
     fixes: Fixes
     headings: Headings | None = None
 
-    def pose(self, time_utc_s: ArrayLike, plane: LocalPlane) -> Pose:
+    def pose(self, time_utc_s: ArrayLike, plane: LocalPlane, *, until_then: bool = False) -> Pose:
         """Where the platform was.
 
         Args:
             time_utc_s: (N,) POSIX seconds.
             plane: Of the places.
+            until_then: Whether place and velocity are by the fixes until each time alone.
         """
         times = np.asarray(time_utc_s, dtype=np.float64)
-        place = synchronise(self.fixes, times, plane)
+        told = synchronise(self.fixes, times, plane).matched
         heading, sigma = (
             self._course(times, plane) if self.headings is None else self._logged(times)
         )
+        state = np.full((times.size, 2, 2), np.nan)
+        covariance = np.full((times.size, 2, 2), np.nan)
+        if told.any():
+            way = _way(self, plane)
+            at = way.until if until_then else way.at
+            state[told], covariance[told] = at(times[told])
         return Pose(
-            en_m=np.stack([place.east_m, place.north_m], axis=1),
-            velocity_mps=np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1),
+            en_m=state[:, 0],
+            velocity_mps=state[:, 1],
             heading_rad=heading,
             heading_sigma_rad=sigma,
+            covariance=covariance,
         )
 
     def _logged(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -114,6 +144,162 @@ class Platform:
             sigma = np.sqrt(2.0) * POSITION_SIGMA_M / moved
         course = np.arctan2(moved_east, moved_north)
         return np.where(told, course, np.nan), np.where(told, sigma, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """The way of a platform by its log: place and velocity at each fix, smoothed and until then.
+
+    Along either axis it goes with constant velocity under white acceleration, and its receiver is
+    off by a Gauss-Markov process: a Kalman filter of place, velocity and that error, and the
+    smoother of Rauch, Tung and Striebel. Both axes share the covariance. How hard the platform
+    accelerates is told by its log.
+
+    Attributes:
+        time_s: (N,) of the fixes, those that follow each other closely left out.
+        filtered: (N, 3, 2) float64, rows place, velocity, error; columns east and north.
+        filtered_covariance: (N, 3, 3).
+        smoothed: As ``filtered``, by all fixes.
+        smoothed_covariance: As ``filtered_covariance``.
+        acceleration_m2ps3: Spectral density.
+    """
+
+    time_s: FloatArray
+    filtered: FloatArray
+    filtered_covariance: FloatArray
+    smoothed: FloatArray
+    smoothed_covariance: FloatArray
+    acceleration_m2ps3: float
+
+    @classmethod
+    def of(cls, fixes: Fixes, plane: LocalPlane) -> _Way:
+        log = distinct(fixes)
+        kept = _apart(log.time_utc_s)
+        time_s = log.time_utc_s[kept]
+        en_m = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)[kept]
+        several = _ACCELERATIONS_M2PS3
+        # A long log is judged by its busiest part: much of it may be at the berth.
+        part = _busiest(en_m)
+        likely, *_ = _followed(time_s[part], en_m[part], several)
+        best = several[[int(np.argmax(likely))]]
+        _, mean, covariance = _followed(time_s, en_m, best)
+        mean, covariance = mean[:, 0], covariance[:, 0]
+        smooth, spread = mean.copy(), covariance.copy()
+        for i in range(len(time_s) - 2, -1, -1):
+            lag_s = float(time_s[i + 1] - time_s[i])
+            if lag_s > LARGEST_GAP_S:
+                continue
+            step, noise = _moves(lag_s, best)
+            ahead = step @ covariance[i] @ step.T + noise[0]
+            gain = np.linalg.solve(ahead, step @ covariance[i]).T
+            smooth[i] = mean[i] + gain @ (smooth[i + 1] - step @ mean[i])
+            spread[i] = covariance[i] + gain @ (spread[i + 1] - ahead) @ gain.T
+        return cls(time_s, mean, covariance, smooth, spread, float(best[0]))
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Place and velocity (M, 2, 2) by all fixes, and covariances (M, 2, 2).
+
+        Between two fixes the expected way is the cubic through both with their velocities.
+        """
+        if self.time_s.size == 1:
+            return self.until(times)
+        after = np.clip(np.searchsorted(self.time_s, times), 1, self.time_s.size - 1)
+        span = (self.time_s[after] - self.time_s[after - 1])[:, None]
+        share = (times - self.time_s[after - 1])[:, None] / span
+        (p, v), (q, w) = (
+            (self.smoothed[rows, 0], self.smoothed[rows, 1]) for rows in (after - 1, after)
+        )
+        rest = 1.0 - share
+        place = rest**2 * ((1.0 + 2.0 * share) * p + share * span * v)
+        place += share**2 * ((1.0 + 2.0 * rest) * q - rest * span * w)
+        speed = 6.0 * share * rest * (q - p) / span
+        speed += rest * (1.0 - 3.0 * share) * v + share * (1.0 - 3.0 * rest) * w
+        weight = share[:, :, None]
+        first, last = (self.smoothed_covariance[rows, :2, :2] for rows in (after - 1, after))
+        return np.stack([place, speed], axis=1), first + weight * (last - first)
+
+    def until(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The same by the fixes until each time; before the first, by that."""
+        last = np.maximum(np.searchsorted(self.time_s, times, side="right") - 1, 0)
+        lag = np.maximum(times - self.time_s[last], 0.0)
+        step = np.tile(np.eye(2), (times.size, 1, 1))
+        step[:, 0, 1] = lag
+        noise = np.stack([lag**3 / 3.0, lag**2 / 2.0, lag**2 / 2.0, lag], axis=1)
+        spread = step @ self.filtered_covariance[last, :2, :2] @ np.swapaxes(step, 1, 2)
+        spread += self.acceleration_m2ps3 * noise.reshape(-1, 2, 2)
+        return step @ self.filtered[last, :2], spread
+
+
+# The way is asked for with each track and each moment, and takes a while for a long log.
+@lru_cache(maxsize=8)
+def _way(platform: Platform, plane: LocalPlane) -> _Way:
+    return _Way.of(platform.fixes, plane)
+
+
+def _apart(time_s: FloatArray) -> IntArray:
+    """Rows of times of which none follows the one before too closely."""
+    kept: list[int] = []
+    last_s = -np.inf
+    for i, now_s in enumerate(time_s.tolist()):
+        if now_s - last_s >= _APART_S:
+            kept.append(i)
+            last_s = now_s
+    return np.array(kept, dtype=np.int64)
+
+
+def _busiest(en_m: FloatArray) -> slice:
+    """The stretch of so many fixes in which the platform went furthest."""
+    gone = np.append(0.0, np.cumsum(np.hypot(*np.diff(en_m, axis=0).T)))
+    starts = np.arange(0, max(1, len(en_m) - _LEARNED_FROM + 1), _LEARNED_FROM // 4)
+    ends = np.minimum(starts + _LEARNED_FROM, len(en_m)) - 1
+    start = int(starts[np.argmax(gone[ends] - gone[starts])])
+    return slice(start, start + _LEARNED_FROM)
+
+
+def _moves(lag_s: float, acceleration_m2ps3: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(3, 3) how place, velocity and error move on, and (K, 3, 3) the noise that they pick up."""
+    kept = np.exp(-lag_s / _RECEIVER_LASTS_S)
+    step = np.diag([1.0, 1.0, kept])
+    step[0, 1] = lag_s
+    noise = np.zeros((acceleration_m2ps3.size, 3, 3))
+    motion = np.array([[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]])
+    noise[:, :2, :2] = acceleration_m2ps3[:, None, None] * motion
+    noise[:, 2, 2] = POSITION_SIGMA_M**2 * (1.0 - kept**2)
+    return step, noise
+
+
+def _followed(
+    time_s: FloatArray, en_m: FloatArray, acceleration_m2ps3: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Filter a log under K accelerations.
+
+    Returns:
+        (K,) the log-likelihoods, (N, K, 3, 2) the states, and (N, K, 3, 3) their covariances.
+    """
+    n, k = len(time_s), acceleration_m2ps3.size
+    likely = np.zeros(k)
+    means, covariances = np.empty((n, k, 3, 2)), np.empty((n, k, 3, 3))
+    seen = np.array([1.0, 0.0, 1.0])
+    off, own = POSITION_SIGMA_M**2, _FIX_SIGMA_M**2
+    begun = np.array([[off + own, 0.0, -off], [0.0, _SPEED_SIGMA_MPS**2, 0.0], [-off, 0.0, off]])
+    for i in range(n):
+        lag_s = float(time_s[i] - time_s[i - 1]) if i else np.inf
+        if lag_s > LARGEST_GAP_S:
+            means[i] = 0.0
+            means[i, :, 0] = en_m[i]
+            covariances[i] = begun
+            continue
+        step, noise = _moves(lag_s, acceleration_m2ps3)
+        mean = step @ means[i - 1]
+        covariance = step @ covariances[i - 1] @ step.T + noise
+        cross = covariance @ seen
+        spread = cross @ seen + own
+        rest = en_m[i] - mean[:, 0] - mean[:, 2]
+        gain = cross / spread[:, None]
+        means[i] = mean + gain[:, :, None] * rest[:, None, :]
+        covariances[i] = covariance - gain[:, :, None] * cross[:, None, :]
+        likely -= 0.5 * (rest**2).sum(axis=1) / spread + np.log(spread)
+    return likely, means, covariances
 
 
 def to_bow(en_m: FloatArray, pose: Pose) -> FloatArray:
@@ -156,7 +342,7 @@ def north_up(positions: Positions, pose: Pose) -> Positions:
     # d (east, north) / d heading.
     swing = np.stack([en_m[:, 1], -en_m[:, 0]], axis=1)
     own = swing[:, :, None] * swing[:, None, :] * pose.heading_sigma_rad[:, None, None] ** 2
-    own = own + POSITION_SIGMA_M**2 * np.eye(2)
+    own = own + pose.covariance[:, :1, :1] * np.eye(2)
     assert positions.shared_covariance_m2 is not None, "positions fill it in"
 
     def turned_covariance(covariance_m2: FloatArray) -> FloatArray:
@@ -201,4 +387,6 @@ def moved_track(track: Track, pose: Pose) -> Track:
         north_m=kept.north_m + north,
         velocity_east_mps=kept.velocity_east_mps + velocity[:, 0],
         velocity_north_mps=kept.velocity_north_mps + velocity[:, 1],
+        velocity_covariance_m2ps2=kept.velocity_covariance_m2ps2
+        + pose.covariance[rows, 1:, 1:] * np.eye(2),
     )

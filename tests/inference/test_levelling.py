@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,10 @@ from sightline.detection.waterline import find_waterline
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera import Camera
+from sightline.inference.camera_model import CameraRegressor
 from sightline.inference.levelling import level, scene_horizons
 from sightline.pipeline import leave_one_out, place_boxes, score, with_forecasts
-from sightline.simulation import simulate
+from sightline.simulation import Harbour, simulate
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway
 from sightline.trajectory.forecast import follow
@@ -123,12 +125,11 @@ def test_a_target_at_rest_is_foretold_to_stay_though_the_platform_goes_on() -> N
     plane = LocalPlane(54.3, 10.1)
     times = np.arange(0.0, 40.0, 1.0)
     en_m = np.stack([2.0 * times, 1.0 * times], axis=1)
-    apart = np.array([60.0, 200.0]) - en_m
+    there = np.full((times.size, 2), [60.0, 200.0])
     noise = np.tile(0.25 * np.eye(2), (times.size, 1, 1))
-    seen = Positions(apart[:, 0], apart[:, 1], noise, np.zeros(times.size, bool), plane)
-    followed = follow(times, seen)
-    velocity_mps = np.tile([2.0, 1.0], (times.size, 1))
-    mean, _ = followed.moved(en_m, velocity_mps)[-1:].ahead(10.0).moments()
+    seen = Positions(there[:, 0], there[:, 1], noise, np.zeros(times.size, bool), plane)
+    followed = follow(times, seen, eye_m=en_m)
+    mean, _ = followed[-1:].ahead(10.0).moments()
     np.testing.assert_allclose(mean[0, :2], [60.0, 200.0], atol=1.0)
     np.testing.assert_allclose(mean[0, 2:], 0.0, atol=0.2)
 
@@ -213,3 +214,44 @@ def test_the_waterline_of_the_real_harbour_stays_where_it_is(data_dir: Path) -> 
 def test_nothing_is_found_where_nothing_is() -> None:
     assert find_waterline(np.full((360, 640, 3), 90, np.uint8)) is None
     assert find_waterline(np.zeros((8, 8, 3), np.uint8)) is None
+
+
+def test_heave_is_told_from_errors_of_the_log(at_sea: sightline.Scene) -> None:
+    simulated = Harbour.random(1, duration_s=214.0, moving=True)
+    assert simulated.platform is not None
+    lifted = simulated.platform.heave_m(np.arange(0.0, 214.0, 0.1))
+    model = sightline.fit(at_sea, "camera")
+    noise = model.regressor.fit_.noise
+    assert noise.heave_m == pytest.approx(np.std(lifted), rel=0.25)
+    # Without it the rows would be off by what the annotator is, and the horizon.
+    assert noise.row_m < 0.1
+    assert noise.row_px == pytest.approx(np.hypot(1.0, 0.5), rel=0.25)
+    # It is in the ellipse of a box: as if its foot were as much too high or low.
+    camera = model.camera
+    box = np.array([[630.0, 380.0, 650.0, camera.horizon_y_px([640.0])[0] + 60.0]])
+    down = np.radians(camera.pitch_deg) + np.arctan((box[0, 3] - 360.0) / camera.focal_px)
+    foot_m = camera.height_m / np.tan(down)
+    still = replace(
+        model, regressor=CameraRegressor.from_state(*_without_heave(model.regressor.state()))
+    )
+    more, less = (m.locate(box).covariance_m2[0] for m in (model, still))
+    at = model.locate(box)
+    sight = np.array([at.east_m[0], at.north_m[0]]) / at.range_m[0]
+    expected = (foot_m * noise.heave_m / camera.height_m) ** 2
+    assert sight @ (more - less) @ sight == pytest.approx(expected, rel=0.1)
+
+
+def _without_heave(state: tuple) -> tuple:
+    arrays, settings = state
+    return arrays, {**settings, "noise": {**settings["noise"], "heave_m": 0.0}}
+
+
+def test_a_camera_that_stands_still_does_not_heave(tmp_path: Path) -> None:
+    scene = sightline.Scene.load(simulate(tmp_path, seed=1, video=False).scene)
+    assert sightline.fit(scene, "camera").regressor.fit_.noise.heave_m == 0.0
+
+
+def test_waves_are_not_learned_as_of_places(at_sea: sightline.Scene) -> None:
+    model = sightline.fit(at_sea, "camera+gpr")
+    assert model.regressor.range_process_ is None
+    assert model.regressor.bearing_process_ is None

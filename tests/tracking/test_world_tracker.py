@@ -8,13 +8,14 @@ import pytest
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
+from sightline.platform import Platform
 from sightline.tracking import (
     ImageTracker,
     TargetTracker,
     WorldTracker,
     WorldTrackerSettings,
 )
-from sightline.types import Boxes, FloatArray, Positions
+from sightline.types import Boxes, Fixes, FloatArray, Headings, Positions
 
 HEIGHT_M, FOCAL_PX, HORIZON_PX, CENTRE_PX = 6.0, 1000.0, 200.0, 640.0
 
@@ -264,3 +265,47 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
         taken = possible[best]
         assert rows.size == int(taken.sum())
         assert cost[rows, columns].sum() == pytest.approx(table[best][taken].sum(), abs=1e-9)
+
+
+@pytest.mark.parametrize("on_board", [True, False])
+def test_from_a_vessel_that_turns_an_identity_is_kept_on_the_earth(on_board: bool) -> None:
+    """A boat at anchor is hidden while the vessel swings round by 25 degrees: it has moved in the
+    picture by its own length several times, and not on the earth."""
+    seconds = np.arange(0.0, 30.0, 0.1)
+    way = np.stack([1.5 * seconds, 0.5 * seconds], axis=1)
+    heading = np.interp(seconds, [0.0, 12.0, 16.0, 40.0], [0.0, 0.0, 25.0, 25.0])
+    plane = LocalPlane(54.0, 10.0)
+    platform = Platform(
+        Fixes(seconds, *plane.to_geographic(way[:, 0], way[:, 1])), Headings(seconds, heading)
+    )
+
+    def seen_from(east: float, north: float) -> Callable[[float], tuple[float, float]]:
+        def at(time_s: float) -> tuple[float, float]:
+            angle = np.radians(np.interp(time_s, seconds, heading))
+            apart = np.array([east, north]) - [1.5 * time_s, 0.5 * time_s]
+            ahead = apart @ [np.sin(angle), np.cos(angle)]
+            return float(apart @ [np.cos(angle), -np.sin(angle)]), float(ahead)
+
+        return at
+
+    boats = [seen_from(20.0, 120.0), seen_from(-25.0, 140.0)]
+    tracker = WorldTracker(locate, platform=platform) if on_board else WorldTracker(locate)
+    out = run(tracker, seconds, boats, lambda boat, t: boat == 1 or not 11.0 < t < 17.0)
+    kept = len(ids_of(out, 0)) == 1 and ids_of(out, 0).isdisjoint(ids_of(out, 1))
+    assert kept == on_board
+    if on_board:
+        places = tracker.estimates()
+        found = sorted(places.mean[:, :2].round(3).tolist())
+        np.testing.assert_allclose(found, [[-25.0, 140.0], [20.0, 120.0]], atol=4.0)
+        assert np.abs(places.mean[:, 2:]).max() < 0.8
+
+
+def test_boxes_of_which_nobody_knows_where_the_vessel_was_are_followed_in_the_picture() -> None:
+    seconds = np.arange(0.0, 5.0)
+    platform = Platform(
+        Fixes(seconds, np.full(5, 54.0), np.full(5, 10.0)), Headings(seconds, np.zeros(5))
+    )
+    tracker = WorldTracker(locate, platform=platform)
+    out = run(tracker, np.arange(0.0, 15.0, 0.1), [lambda t: (2.0 * t, 100.0)])
+    assert len(ids_of(out, 0)) == 1
+    assert out[-1][0] > 14.0

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
+from sightline.platform import Platform
 from sightline.trajectory.forecast import (
     MotionModel,
     MotionState,
@@ -17,10 +18,13 @@ from sightline.trajectory.forecast import (
     follow,
     transition,
 )
-from sightline.types import FloatArray, PointKind, Positions, Track
+from sightline.types import Fixes, FloatArray, PointKind, Positions, Track
 
 PLANE = LocalPlane(54.0, 10.0)
 STRAIGHT = MotionModel(straight_share=1.0)
+STEADY = MotionModel(
+    turn_rate_radps=0.0, straight_s=1e5, turning_s=1e5, straight_m2ps3=1e-6, turning_m2ps3=1e-6
+)
 
 
 def state_of(
@@ -259,3 +263,44 @@ def _bad_track() -> Track:
 def test_what_makes_no_sense_is_refused(call: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         call()
+
+
+def test_what_the_platform_is_off_in_its_velocity_takes_the_forecast_along() -> None:
+    state = state_of([10.0, 20.0, 1.0, 0.0], np.diag([1.0, 1.0, 0.25, 0.25]))
+    own = np.array([[2.0, 0.3], [0.3, 0.04]])
+    plain = state.ahead(30.0).moments()[1][0]
+    carried = state.carried(own[None]).ahead(30.0).moments()[1][0]
+    # The place's own part is in the positions already.
+    added = 2.0 * 30.0 * 0.3 + 30.0**2 * 0.04
+    np.testing.assert_allclose(
+        carried - plain, np.kron([[added, 0.3 + 1.2], [1.5, 0.04]], np.eye(2))
+    )
+
+
+def test_ellipses_from_a_vessel_hold_for_targets_that_go_straight() -> None:
+    """The vessel's receiver is off, and so it does not know its own velocity."""
+    times = np.arange(0.0, 90.0)
+    inside = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        way = times[:, None] * rng.normal(0.0, 1.5, 2)
+        target = [30.0, 200.0] + times[:, None] * rng.normal(0.0, 2.0, 2)
+        off = 1.5 * rng.standard_normal(way.shape)
+        for i in range(1, len(off)):
+            off[i] = np.exp(-0.05) * off[i - 1] + np.sqrt(1.0 - np.exp(-0.1)) * off[i]
+        platform = Platform(Fixes(times, *PLANE.to_geographic(*(way + off).T)))
+        pose = platform.pose(times, PLANE, until_then=True)
+        seen = target - way + pose.en_m + 0.5 * rng.standard_normal(way.shape)
+        followed = follow(times, positions(seen, 0.5), STEADY, eye_m=pose.en_m)
+        states = followed.carried(pose.covariance)[40::10]
+        mean, covariance = states.ahead(60.0).moments()
+        true = target[40::10] + 60.0 * (target[1] - target[0])
+        gone = mean[:, :2] - true
+        distance2 = np.einsum("ni,nij,nj->n", gone, np.linalg.inv(covariance[:, :2, :2]), gone)
+        # Of the same, the ellipse of somebody who trusts the vessel's log.
+        naive = followed[40::10].ahead(60.0).moments()[1][:, :2, :2]
+        distances = [distance2, np.einsum("ni,nij,nj->n", gone, np.linalg.inv(naive), gone)]
+        inside.append(np.array(distances) <= chi2.ppf(0.95, 2))
+    share, trusting = np.mean(inside, axis=(0, 2))
+    assert 0.9 <= share <= 0.99
+    assert trusting < share - 0.05

@@ -128,11 +128,11 @@ def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> It
 
 
 def follows_on_earth(model: Georeferencer) -> bool:
-    """Whether targets are followed on the earth's plane: a camera is known, and stands still.
+    """Whether targets are followed on the earth's plane: a camera is known.
 
-    The places of other models are too rough, and before a moving camera they are relative to it.
+    The places of other models are too rough.
     """
-    return model.camera is not None and not model.moving
+    return model.camera is not None
 
 
 def refuse_seldom(times_s: Sequence[float], what: str, model: Georeferencer) -> None:

@@ -31,7 +31,7 @@ from sightline.platform import Platform, moved_positions, north_up
 from sightline.scene import Scene
 from sightline.tracks import Tracks
 from sightline.trajectory import method
-from sightline.trajectory.forecast import MotionState
+from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.types import Boxes, Fixes, Track
 
 
@@ -123,17 +123,20 @@ class Placed:
             conditions=self.conditions,
         )
 
-    def states(self) -> MotionState | None:
+    def states(self, motion: MotionModel | None = None) -> MotionState | None:
         """What was known of the target at each box, by that and those before.
 
         None where no box has a place.
+
+        Args:
+            motion: How targets move. Absent: as vessels do.
         """
         known = self.conditions.locate(self.boxes, self.model).known
         if self.platform is not None:
             known = known & self.platform.pose(self.boxes.time_utc_s, self.model.plane).known
         if not known.any():
             return None
-        return states(self.boxes, self.model, self.platform, self.conditions)
+        return states(self.boxes, self.model, self.platform, self.conditions, motion=motion)
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:

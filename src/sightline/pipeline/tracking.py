@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,16 +28,19 @@ from sightline.pipeline.boxes import (
 )
 from sightline.pipeline.conditions import Conditions
 from sightline.pipeline.standing import Standing, StandingWatch
-from sightline.platform import Platform, moved_track, north_up
+from sightline.platform import Platform, moved_positions, moved_track, north_up
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
-from sightline.trajectory.forecast import MotionState
+from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.trajectory.forecast import follow as follow_motion
 from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
 from sightline.water import WaterLevels
 
 DEFAULT_TRAJECTORY = "rts"
+
+ON_BOARD_LASTING_S = 1.3
+"""How long errors of boxes last on a vessel under way: heave, for a fourth of a wave's period."""
 
 _MOST_PARTS = 256
 _LEAST_INTERVAL_S = 0.001
@@ -255,7 +258,7 @@ def follow(
     standing = standing or Standing()
     first_s: list[float] = []
     if highest_id == NO_TRACK:
-        batches = _followed(batches, first_s, _tracker(model, standing))
+        batches = _followed(batches, first_s, _tracker(model, standing, platform))
     book = _OpenTracks(settings, highest_id)
     count = 0
     for number, boxes in book.ended(batches):
@@ -279,12 +282,12 @@ def follow(
         refuse_seldom(first_s, "boxes", model)
 
 
-def _tracker(model: Georeferencer, standing: Standing) -> Tracker:
+def _tracker(model: Georeferencer, standing: Standing, platform: Platform | None) -> Tracker:
     if not follows_on_earth(model):
         return ImageTracker()
     # What is not known of a turn moves all targets alike, so it tells none from another.
     water = Conditions(water=standing.conditions.water)
-    return WorldTracker(lambda boxes: water.locate(boxes, model))
+    return WorldTracker(lambda boxes: water.locate(boxes, model), platform=platform)
 
 
 def _forecast(
@@ -411,24 +414,36 @@ def states(
     platform: Platform | None,
     conditions: Conditions,
     *,
+    motion: MotionModel | None = None,
     track_id: int = 0,
 ) -> MotionState:
     """What was known of one target at each box with a place, by that and those before.
 
-    Before a moving camera the target is followed relative to it, since that is where it is seen
-    from, and each state is then put where the camera was, with the velocity that it had.
+    A camera that moves was where its own log says by its fixes until then.
+
+    Args:
+        boxes: Of one target, levelled.
+        model: Says where they lie.
+        platform: What the camera stands on, where that moves.
+        turns: How the camera lay, where it was turned.
+        motion: How targets move. Absent: as vessels do.
+        track_id: For messages.
 
     Raises:
         InputError: No box has a place.
     """
     positions = conditions.locate(boxes, model)
-    if platform is not None:
-        positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
-    followed = follow_motion(boxes.time_utc_s, positions, track_id=track_id)
     if platform is None:
-        return followed
-    pose = platform.pose(followed.time_utc_s, model.plane)
-    return followed.moved(pose.en_m, np.nan_to_num(pose.velocity_mps))
+        return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
+    motion = motion or MotionModel()
+    motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
+    pose = platform.pose(boxes.time_utc_s, model.plane, until_then=True)
+    positions = moved_positions(north_up(positions, pose), pose)
+    followed = follow_motion(
+        boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
+    )
+    then = platform.pose(followed.time_utc_s, model.plane, until_then=True)
+    return followed.carried(then.covariance)
 
 
 def smooth_boxes(

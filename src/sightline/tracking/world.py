@@ -6,7 +6,8 @@ position at all. Over seconds the earth does: vessels go straight in it, at spee
 have. So targets are predicted in both planes, and a box must agree with both as long as either
 tells something.
 
-The camera stands at the origin. It knows bearings well and ranges badly; what it measures is taken
+The camera stands at the origin, or on a platform whose log tells where it was. It knows bearings
+well and ranges badly; what it measures is taken
 as the bearing and the *inverse* range, in which a pixel counts the same everywhere (an extended
 Kalman filter, Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and
 Navigation*, 2001, section 10.3): the noise is then that of the range predicted, and a range that
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.platform import Platform, moved_positions, north_up
 from sightline.tracking.image import ImagePlane, ImageTrackerSettings
 from sightline.tracking.plane import Columns
 from sightline.tracking.targets import TargetTracker
@@ -69,20 +71,32 @@ class WorldPlane:
     something and 0 where the target has had no position yet.
     """
 
-    def __init__(self, locate: Locate, settings: WorldTrackerSettings) -> None:
+    def __init__(
+        self, locate: Locate, settings: WorldTrackerSettings, platform: Platform | None = None
+    ) -> None:
         """Take the model.
 
         Args:
             locate: Where boxes lie.
             settings: How targets move.
+            platform: What the camera stands on, where that moves.
         """
         self._locate = locate
+        self._platform = platform
         self._settings = settings
         self._image = ImagePlane(settings)
 
     def measure(self, boxes: Boxes) -> Columns:
-        """What the image has, and ``sight`` (bearing, inverse range) with ``noise``."""
+        """What the image has, and ``sight`` (bearing, inverse range) with ``noise``.
+
+        Both are from the camera, which is at ``eye``.
+        """
         positions = self._locate(boxes)
+        eye = np.zeros((len(boxes), 2))
+        if self._platform is not None:
+            pose = self._platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
+            positions = moved_positions(north_up(positions, pose), pose)
+            eye = np.nan_to_num(pose.en_m)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)
         en = np.where(known[:, None], en, [0.0, 1.0])
@@ -90,12 +104,13 @@ class WorldPlane:
         # What a target's positions have in common does not move it from one to the next.
         own = positions.covariance_m2 - (1.0 - _OWN_SHARE) * positions.shared_covariance_m2
         own = np.where(known[:, None, None], own, np.eye(2))
-        sight, jacobian = _sight(en)
+        sight, jacobian = _sight(en - eye)
         noise = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
         return {
             **self._image.measure(boxes),
             "placed": known.astype(np.float64),
             "en": en,
+            "eye": eye,
             "own": own,
             "sight": sight,
             "noise": noise,
@@ -144,7 +159,8 @@ class WorldPlane:
 
     def _distance(self, state: Columns, measured: Columns, i: IntArray, j: IntArray) -> FloatArray:
         """(P,) distance of pairs in bearing and inverse range, in standard deviations."""
-        expected, jacobian = _sight(state["place"][:, :2])
+        # All boxes are of one moment.
+        expected, jacobian = _sight(state["place"][:, :2] - measured["eye"][:1])
         spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
         off = _off(measured["sight"][j], expected[i])
         return np.sqrt(_squared(off, spread[i] + measured["noise"][j]))
@@ -154,7 +170,7 @@ class WorldPlane:
         image = self._image.update(state, silent_s, measured)
         had, has = state["placed"] > 0.0, measured["placed"] > 0.0
         place, doubt = state["place"], state["doubt"]
-        expected, jacobian = _sight(place[:, :2])
+        expected, jacobian = _sight(place[:, :2] - measured["eye"])
         design = np.zeros((len(had), 2, 4))
         design[:, :, :2] = jacobian
         cross = doubt @ np.swapaxes(design, 1, 2)
@@ -222,15 +238,22 @@ class WorldTracker(TargetTracker):
     start at 1, and belong to the instance.
     """
 
-    def __init__(self, locate: Locate, settings: WorldTrackerSettings | None = None) -> None:
+    def __init__(
+        self,
+        locate: Locate,
+        settings: WorldTrackerSettings | None = None,
+        *,
+        platform: Platform | None = None,
+    ) -> None:
         """Begin without targets.
 
         Args:
             locate: Where boxes lie, as `Georeferencer.locate` says it.
             settings: Absent: those for vessels.
+            platform: What the camera stands on, where that moves.
         """
         settings = settings if settings is not None else WorldTrackerSettings()
-        super().__init__(WorldPlane(locate, settings), settings)
+        super().__init__(WorldPlane(locate, settings, platform), settings)
 
     def estimates(self) -> Estimates:
         """Where the confirmed targets that have a place are, lost ones among them.

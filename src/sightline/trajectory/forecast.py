@@ -15,8 +15,10 @@ Which of the manners holds is followed by an interacting multiple-model filter (
 Bar-Shalom, *IEEE Trans. Autom. Control* 33(8), 1988). It uses no box that comes after the moment
 that it speaks of.
 
-The camera stands at the origin of the plane. Measurements are taken as bearing and inverse range,
-so that their noise is that of the range predicted; see `sightline.trajectory.smoother`.
+The camera stands at the origin of the plane, or moves, and where it was is told. Measurements are
+taken as bearing and inverse range from it, so that their noise is that of the range predicted; see
+`sightline.trajectory.smoother`. The target is followed in the plane itself: before a camera that
+moves, what goes straight does not look so.
 """
 
 from __future__ import annotations
@@ -157,7 +159,9 @@ class MotionState:
         weight: (N, K) float64, probability of each manner.
         mean: (N, K, 4) float64, metres east and north, and their velocities.
         covariance: (N, K, 4, 4) float64, without what all positions of a target share.
-        shared_m2: (N, 2, 2) float64, what they share: of the camera, which time does not change.
+        shared: (N, 4, 4) float64, what they share. What is of a camera that stands still is of the
+            place alone, and time does not change it; what a camera that moves is off in its
+            velocity takes the place along.
         plane: Where the origin lies on the earth.
         motion: How targets move.
     """
@@ -166,7 +170,7 @@ class MotionState:
     weight: FloatArray
     mean: FloatArray
     covariance: FloatArray
-    shared_m2: FloatArray
+    shared: FloatArray
     plane: LocalPlane
     motion: MotionModel
 
@@ -175,7 +179,7 @@ class MotionState:
 
     def __getitem__(self, rows: object) -> MotionState:
         """The states that an index array, a mask or a slice selects."""
-        names = ("time_utc_s", "weight", "mean", "covariance", "shared_m2")
+        names = ("time_utc_s", "weight", "mean", "covariance", "shared")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @classmethod
@@ -236,20 +240,21 @@ class MotionState:
             weight=np.tile(motion.shares, (n, 1)),
             mean=np.repeat(mean[:, None], k, axis=1),
             covariance=np.repeat(covariance[:, None], k, axis=1),
-            shared_m2=np.zeros((n, 2, 2)),
+            shared=np.zeros((n, 4, 4)),
             plane=plane,
             motion=motion,
         )
 
-    def moved(self, en_m: FloatArray, velocity_mps: FloatArray) -> MotionState:
-        """States relative to something that moves, on the earth.
+    def carried(self, covariance: FloatArray) -> MotionState:
+        """States seen from something that moves, whose velocity is not known exactly either.
 
         Args:
-            en_m: (N, 2) where that was at the time of each state, metres east and north.
-            velocity_mps: (N, 2) of it, east and north.
+            covariance: (N, 2, 2) of its place and velocity, along either axis, at the time of each
+                state. That of its place is in the states already, as it was in the positions.
         """
-        own = np.concatenate([en_m, velocity_mps], axis=1)
-        return replace(self, mean=self.mean + own[:, None, :])
+        own = np.einsum("nij,ab->niajb", covariance, np.eye(2)).reshape(-1, 4, 4)
+        own[:, :2, :2] = 0.0
+        return replace(self, shared=self.shared + own)
 
     def ahead(self, lag_s: float) -> MotionState:
         """All of them the same time later.
@@ -274,6 +279,7 @@ class MotionState:
             weight=weight,
             mean=mean,
             covariance=covariance,
+            shared=_taken_along(self.shared, lag_s),
         )
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
@@ -282,8 +288,7 @@ class MotionState:
         off = self.mean - mean[:, None]
         spread = self.covariance + off[..., :, None] * off[..., None, :]
         covariance = np.einsum("nk,nkij->nij", self.weight, spread)
-        covariance[:, :2, :2] += self.shared_m2
-        return mean, covariance
+        return mean, covariance + self.shared
 
     def forecast(self, lag_s: ArrayLike, *, track_id: int = 0, label: str = "") -> Track:
         """Place and ellipse of one target some times later, as an extrapolated track.
@@ -323,6 +328,15 @@ class MotionState:
         )
 
 
+def _taken_along(shared: FloatArray, lag_s: float) -> FloatArray:
+    """An error of place and velocity some time later."""
+    if not shared[:, 2:, 2:].any():
+        return shared
+    step = np.eye(4)
+    step[0, 2] = step[1, 3] = lag_s
+    return np.asarray(step @ shared @ step.T)
+
+
 def _root(matrix: FloatArray) -> FloatArray:
     """The symmetric root of a covariance."""
     values, vectors = np.linalg.eigh(matrix)
@@ -347,6 +361,7 @@ def follow(
     positions: Positions,
     motion: MotionModel | None = None,
     *,
+    eye_m: FloatArray | None = None,
     track_id: int = 0,
 ) -> MotionState:
     """What was known of one target at each of its positions, by that one and those before it.
@@ -355,6 +370,7 @@ def follow(
         time_utc_s: (N,) POSIX seconds, in any order.
         positions: N rows; those without a position are left out.
         motion: How targets move.
+        eye_m: (N, 2) metres east and north of the camera. Absent: it stands at the origin.
         track_id: For messages.
 
     Returns:
@@ -365,13 +381,15 @@ def follow(
     """
     motion = motion or MotionModel()
     measured, _ = measurements(time_utc_s, positions, None, None, track_id)
+    eye = np.zeros((len(positions), 2)) if eye_m is None else np.asarray(eye_m, dtype=np.float64)
+    eye = eye[measured.rows]
     state = _begun(measured, positions.plane, motion)
     states = [state]
     last_s = float(measured.time_utc_s[0])
     for i in range(1, measured.time_utc_s.size):
         lag_s = float(measured.time_utc_s[i]) - last_s
         last_s += lag_s
-        state = _updated(state.ahead(lag_s), measured, i, lag_s)
+        state = _updated(state.ahead(lag_s), measured, eye[i], i, lag_s)
         if lag_s > _SAME_TIME_S:
             states.append(state)
         else:
@@ -381,7 +399,7 @@ def follow(
         weight=np.concatenate([one.weight for one in states]),
         mean=np.concatenate([one.mean for one in states]),
         covariance=np.concatenate([one.covariance for one in states]),
-        shared_m2=np.concatenate([one.shared_m2 for one in states]),
+        shared=np.concatenate([one.shared for one in states]),
         plane=positions.plane,
         motion=motion,
     )
@@ -397,23 +415,32 @@ def _begun(measured: Measurements, plane: LocalPlane, motion: MotionModel) -> Mo
         weight=motion.shares[None, :],
         mean=np.tile(np.append(measured.en_m[0], [0.0, 0.0]), (1, k, 1)),
         covariance=np.tile(covariance, (1, k, 1, 1)),
-        shared_m2=measured.shared_m2[:1],
+        shared=_of_place(measured.shared_m2[0]),
         plane=plane,
         motion=motion,
     )
 
 
-def _updated(state: MotionState, measured: Measurements, i: int, lag_s: float) -> MotionState:
+def _of_place(shared_m2: FloatArray) -> FloatArray:
+    """(1, 4, 4) of place and velocity, from what is shared of the place (2, 2)."""
+    out = np.zeros((1, 4, 4))
+    out[0, :2, :2] = shared_m2
+    return out
+
+
+def _updated(
+    state: MotionState, measured: Measurements, eye_m: FloatArray, i: int, lag_s: float
+) -> MotionState:
     """A state, predicted to its time, with one more position (an iterated Kalman filter)."""
     motion = state.motion
-    sight, axes = _sight(measured.en_m[i : i + 1])
+    sight, axes = _sight(measured.en_m[i : i + 1] - eye_m)
     noise = axes[0] @ measured.covariance_m2[i] @ axes[0].T
     # Errors that last make boxes that follow each other closely one box.
     noise = noise * max(1.0, 2.0 * motion.lasting_s / max(lag_s, 1e-3))
     expected, covariance = state.mean[0], state.covariance[0]
     at, place = expected, covariance[:, :2, :2]
-    off = _off(sight, _sight(expected[:, :2])[0])
-    design = _sight(expected[:, :2])[1]
+    there, design = _sight(expected[:, :2] - eye_m)
+    off = _off(sight, there)
     spread = design @ place @ np.swapaxes(design, 1, 2) + noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
     # How far from the expected place a position may be is asked once, of all manners.
@@ -423,7 +450,7 @@ def _updated(state: MotionState, measured: Measurements, i: int, lag_s: float) -
     likely = np.log(state.weight[0]) - 0.5 * (distance2 + np.log(np.linalg.det(spread)))
     weight = np.exp(likely - likely.max())
     for _ in range(_ITERATIONS):
-        there, design = _sight(at[:, :2])
+        there, design = _sight(at[:, :2] - eye_m)
         cross = covariance[:, :, :2] @ np.swapaxes(design, 1, 2)
         gain = cross @ np.linalg.inv(design @ place @ np.swapaxes(design, 1, 2) + noise)
         rest = _off(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
@@ -434,7 +461,7 @@ def _updated(state: MotionState, measured: Measurements, i: int, lag_s: float) -
         weight=(weight / weight.sum())[None, :],
         mean=at[None],
         covariance=0.5 * (left + np.swapaxes(left, 1, 2))[None],
-        shared_m2=measured.shared_m2[i : i + 1],
+        shared=_of_place(measured.shared_m2[i]),
     )
 
 
