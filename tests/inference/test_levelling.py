@@ -223,6 +223,7 @@ def test_heave_is_told_from_errors_of_the_log(at_sea: sightline.Scene) -> None:
     model = sightline.fit(at_sea, "camera")
     noise = model.regressor.fit_.noise
     assert noise.heave_m == pytest.approx(np.std(lifted), rel=0.25)
+    assert f"rises and falls by {noise.heave_m:.2f} m" in " ".join(model.report.statements)
     # Without it the rows would be off by what the annotator is, and the horizon.
     assert noise.row_m < 0.1
     assert noise.row_px == pytest.approx(np.hypot(1.0, 0.5), rel=0.25)
