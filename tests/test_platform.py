@@ -17,6 +17,7 @@ from sightline.platform import (
     north_up,
     to_bow,
 )
+from sightline.synchronisation import synchronise
 from sightline.trajectory import method
 from sightline.types import Fixes, Headings, Positions
 
@@ -221,3 +222,25 @@ def test_a_track_is_as_unsure_of_its_velocity_as_the_platform_is_of_its_own() ->
         pose.covariance[:, 1:, 1:] * np.eye(2),
     )
     assert (pose.covariance[:, 1, 1] > 0.0).all()
+
+
+def test_a_place_is_told_where_the_log_is_interpolated() -> None:
+    times = np.array([0.0, 2.0, 9.9, 10.0, 30.0, 31.0])
+    platform = Platform(log(times, np.zeros((6, 2))))
+    asked = np.array([-1.0, 0.0, 1.0, 5.0, 9.9, 15.0, 30.0, 30.5, 31.0, 32.0, np.nan])
+    expected = synchronise(platform.fixes, asked, PLANE).matched
+    np.testing.assert_array_equal(np.isfinite(platform.pose(asked, PLANE).en_m[:, 0]), expected)
+    assert expected.sum() == 7
+
+
+def test_a_log_without_a_fix_tells_nothing() -> None:
+    platform = Platform(Fixes(np.empty(0), np.empty(0), np.empty(0)), compass())
+    assert not platform.pose([1.0, 2.0], PLANE).known.any()
+    one = Platform(log(np.array([1.0]), np.array([[3.0, 4.0]])), compass())
+    pose = one.pose([1.0, 2.0], PLANE)
+    assert pose.known.tolist() == [True, False]
+    np.testing.assert_allclose(pose.en_m[0], [3.0, 4.0], atol=1e-6)
+
+
+def compass() -> Headings:
+    return Headings(np.array([0.0, 5.0]), np.array([10.0, 10.0]))

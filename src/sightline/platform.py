@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.geodesy import LocalPlane
-from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
+from sightline.synchronisation import LARGEST_GAP_S, distinct
 from sightline.types import BoolArray, Fixes, FloatArray, Headings, IntArray, Positions, Track
 
 POSITION_SIGMA_M = 1.5
@@ -96,14 +96,14 @@ class Platform:
             until_then: Whether place and velocity are by the fixes until each time alone.
         """
         times = np.asarray(time_utc_s, dtype=np.float64)
-        told = synchronise(self.fixes, times, plane).matched
+        way = _way(self, plane)
+        told = way.told(times)
         heading, sigma = (
             self._course(times, plane) if self.headings is None else self._logged(times)
         )
         state = np.full((times.size, 2, 2), np.nan)
         covariance = np.full((times.size, 2, 2), np.nan)
         if told.any():
-            way = _way(self, plane)
             at = way.until if until_then else way.at
             state[told], covariance[told] = at(times[told])
         return Pose(
@@ -117,7 +117,7 @@ class Platform:
     def _logged(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         assert self.headings is not None, "the caller has looked"
         log_s = self.headings.time_utc_s
-        turned = np.unwrap(np.radians(self.headings.heading_deg))
+        turned = _unwrapped(self.headings)
         heading = np.interp(times, log_s, turned, left=np.nan, right=np.nan)
         after = np.clip(np.searchsorted(log_s, times), 1, len(log_s) - 1)
         far = log_s[after] - log_s[after - 1] > LARGEST_GAP_S
@@ -156,6 +156,7 @@ class _Way:
     accelerates is told by its log.
 
     Attributes:
+        log_s: (L,) of all fixes.
         time_s: (N,) of the fixes, those that follow each other closely left out.
         filtered: (N, 3, 2) float64, rows place, velocity, error; columns east and north.
         filtered_covariance: (N, 3, 3).
@@ -164,6 +165,7 @@ class _Way:
         acceleration_m2ps3: Spectral density.
     """
 
+    log_s: FloatArray
     time_s: FloatArray
     filtered: FloatArray
     filtered_covariance: FloatArray
@@ -194,14 +196,24 @@ class _Way:
             gain = np.linalg.solve(ahead, step @ covariance[i]).T
             smooth[i] = mean[i] + gain @ (smooth[i + 1] - step @ mean[i])
             spread[i] = covariance[i] + gain @ (spread[i + 1] - ahead) @ gain.T
-        return cls(time_s, mean, covariance, smooth, spread, float(best[0]))
+        return cls(log.time_utc_s, time_s, mean, covariance, smooth, spread, float(best[0]))
+
+    def told(self, times: FloatArray) -> BoolArray:
+        """(M,) whether there are fixes on both sides that are near enough to each other."""
+        log_s = self.log_s
+        if log_s.size == 0:
+            return np.zeros(times.size, dtype=bool)
+        after = np.clip(np.searchsorted(log_s, times), 0, log_s.size - 1)
+        before = np.where(log_s[after] == times, after, np.maximum(after - 1, 0))
+        inside = (times >= log_s[0]) & (times <= log_s[-1])
+        return np.asarray(inside & (log_s[after] - log_s[before] <= LARGEST_GAP_S))
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Place and velocity (M, 2, 2) by all fixes, and covariances (M, 2, 2).
 
         Between two fixes the expected way is the cubic through both with their velocities.
         """
-        if self.time_s.size == 1:
+        if self.time_s.size < 2:
             return self.until(times)
         after = np.clip(np.searchsorted(self.time_s, times), 1, self.time_s.size - 1)
         span = (self.time_s[after] - self.time_s[after - 1])[:, None]
@@ -231,6 +243,12 @@ class _Way:
 
 
 # The way is asked for with each track and each moment, and takes a while for a long log.
+@lru_cache(maxsize=8)
+def _unwrapped(headings: Headings) -> FloatArray:
+    """(N,) radians, without steps of a whole turn."""
+    return np.unwrap(np.radians(headings.heading_deg))
+
+
 @lru_cache(maxsize=8)
 def _way(platform: Platform, plane: LocalPlane) -> _Way:
     return _Way.of(platform.fixes, plane)
