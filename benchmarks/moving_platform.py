@@ -26,18 +26,20 @@ import argparse
 import json
 import tempfile
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from sightline.evaluation.forecast import ForecastPairs, pair_forecasts
-from sightline.evaluation.metrics import Pairs, absolute_error, coverage, pair_track
+from sightline.evaluation.metrics import ScoredPairs, absolute_error, coverage, pair_track
 from sightline.evaluation.tracking import score_tracking
 from sightline.formats import read_boxes
 from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer, fit
 from sightline.inference.levelling import scene_horizons
 from sightline.pipeline import Placed, leave_one_out, place_boxes
 from sightline.pipeline.boxes import moments
+from sightline.pipeline.conditions import Conditions
 from sightline.scene import Recording, Scene
 from sightline.simulation import Simulation, simulate
 from sightline.simulation.harbour import ReceiverNoise
@@ -73,8 +75,8 @@ class Found:
         trackers: By name, rows of `TRACKING`.
     """
 
-    single: list[Pairs] = field(default_factory=list)
-    tracks: list[Pairs] = field(default_factory=list)
+    single: list[ScoredPairs] = field(default_factory=list)
+    tracks: list[ScoredPairs] = field(default_factory=list)
     forecasts: dict[tuple[str, str], dict[float, list[ForecastPairs]]] = field(default_factory=dict)
     trackers: dict[str, list[list[float]]] = field(default_factory=dict)
 
@@ -111,7 +113,7 @@ def tracked(model: Georeferencer, recording: Recording, folder: Path, found: Fou
     truth, seen = levelled("truth-boxes"), levelled("detections")
     seen = seen.with_columns(track_id=np.full(len(seen), NO_TRACK))
     trackers: dict[str, Tracker] = {"image": ImageTracker()}
-    trackers["earth"] = WorldTracker(model.locate, platform=platform)
+    trackers["earth"] = WorldTracker(partial(Conditions().locate, model=model), platform=platform)
     for name, tracker in trackers.items():
         boxes = Boxes.concatenate([tracker.update(one) for one in moments([seen])])
         score = score_tracking(truth, boxes)
@@ -164,7 +166,7 @@ def table(found: Found) -> None:
     head = f"{'n':>7s}{'RMSE':>9s}{'median':>9s}{'95 %':>7s}"
     print(f"\n{'':16s}{head}")
     for name, parts in (("single boxes", found.single), ("tracks", found.tracks)):
-        pairs = Pairs.concatenate(parts)
+        pairs = ScoredPairs.concatenate(parts)
         error = absolute_error(pairs)
         print(
             f"{name:16s}{error.n:7d}{error.rmse:9.2f}{error.median:9.2f}{coverage(pairs).p95:7.2f}"
@@ -172,7 +174,7 @@ def table(found: Found) -> None:
     for (motion, source), by_ahead in found.forecasts.items():
         print(f"\nforecasts by {source}, {motion}\n{'':16s}{head}   constant velocity")
         for ahead, forecasts in by_ahead.items():
-            pairs = Pairs.concatenate(part.pairs for part in forecasts)
+            pairs = ScoredPairs.concatenate(part.pairs for part in forecasts)
             error = absolute_error(pairs)
             beside = np.concatenate([part.log_error_m for part in forecasts])
             constant = float(np.sqrt(np.nanmean(beside**2)))

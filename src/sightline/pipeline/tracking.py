@@ -425,7 +425,7 @@ def states(
         boxes: Of one target, levelled.
         model: Says where they lie.
         platform: What the camera stands on, where that moves.
-        turns: How the camera lay, where it was turned.
+        conditions: How the camera lay, and how high the water stood.
         motion: How targets move. Absent: as vessels do.
         track_id: For messages.
 
