@@ -51,6 +51,7 @@ EXACT = ReceiverNoise(std_m=0.0, interval_s=0.25, interval_jitter=0.0, dropouts_
 PLACE_SIGMA_M = 1.0
 SIMULATED = MotionModel(
     turn_rate_radps=0.28,
+    hard_share=0.0,
     manner_s=5.3,
     straight_share=0.5,
     straight_s=140.0,

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,12 @@ from sightline.types import Fixes, FloatArray, PointKind, Positions, Track
 PLANE = LocalPlane(54.0, 10.0)
 STRAIGHT = MotionModel(straight_share=1.0)
 STEADY = MotionModel(
-    turn_rate_radps=0.0, straight_s=1e5, turning_s=1e5, straight_m2ps3=1e-6, turning_m2ps3=1e-6
+    turn_rate_radps=0.0,
+    hard_turn_rate_radps=0.0,
+    straight_s=1e5,
+    turning_s=1e5,
+    straight_m2ps3=1e-6,
+    turning_m2ps3=1e-6,
 )
 
 
@@ -109,32 +115,48 @@ def simulated(
         for q, noise in zip(motion.accelerations_m2ps3, noises, strict=True)
     ]
     state = np.array([rng.uniform(-60, 60), rng.uniform(80, 200), *rng.normal(0.0, 2.0, 2)])
-    manner = rng.choice(3, p=motion.shares)
+    manner = rng.choice(motion.shares.size, p=motion.shares)
     out = [state]
     for _ in range(int(seconds / step_s)):
         if rng.random() > np.exp(-step_s / motion.manner_s):
-            manner = rng.choice(3, p=motion.shares)
+            manner = rng.choice(motion.shares.size, p=motion.shares)
         state = moves[manner] @ state + roots[manner] @ rng.standard_normal(4)
         out.append(state)
     return np.array(out)
 
 
-def test_ellipses_hold_the_truth_of_simulated_motion() -> None:
-    motion, step_s, seen = MotionModel(), 0.5, 8
+def inside_95(
+    known: MotionModel, true: MotionModel, *, sigma_m: float, seen: int, step_s: float = 0.5
+) -> dict[float, float]:
+    """How often the ellipses of a filter hold targets that move as a model says."""
     inside: dict[float, list[bool]] = {5.0: [], 10.0: [], 30.0: [], 60.0: []}
     for seed in range(150):
         rng = np.random.default_rng(seed)
-        truth = simulated(rng, motion, 100.0, step_s)
-        rows = np.arange(0, 61, seen)
-        measured = truth[rows, :2] + rng.normal(0.0, 3.0, (rows.size, 2))
-        last = follow(rows * step_s, positions(measured, 3.0), motion)[-1:]
+        truth = simulated(rng, true, 110.0, step_s)
+        rows = np.arange(0, 81, seen)
+        measured = truth[rows, :2] + rng.normal(0.0, sigma_m, (rows.size, 2))
+        last = follow(rows * step_s, positions(measured, sigma_m), known)[-1:]
         for lag_s, held in inside.items():
             mean, covariance = last.ahead(lag_s).moments()
             off = mean[0, :2] - truth[rows[-1] + int(lag_s / step_s), :2]
             squared = off @ np.linalg.solve(covariance[0, :2, :2], off)
             held.append(bool(squared <= chi2.ppf(0.95, 2)))
-    for held in inside.values():
-        assert 0.90 <= np.mean(held) <= 0.99
+    return {lag_s: float(np.mean(held)) for lag_s, held in inside.items()}
+
+
+def test_ellipses_hold_the_truth_of_simulated_motion() -> None:
+    for share in inside_95(MotionModel(), MotionModel(), sigma_m=3.0, seen=8).values():
+        assert 0.90 <= share <= 0.99
+
+
+def test_ellipses_hold_boats_that_turn_harder_than_most() -> None:
+    """All turns are at 16 degrees a second, where a tenth of them are expected to be such."""
+    small = replace(MotionModel(), turn_rate_radps=0.28, hard_share=0.0)
+    shares = inside_95(MotionModel(), small, sigma_m=1.0, seen=4)
+    without = inside_95(replace(MotionModel(), hard_share=0.0), small, sigma_m=1.0, seen=4)
+    assert min(shares.values()) > 0.87
+    assert shares[5.0] > without[5.0] + 0.03
+    assert shares[10.0] > without[10.0] + 0.03
 
 
 def test_nothing_that_comes_later_changes_what_was_known() -> None:

@@ -1,8 +1,8 @@
 r"""Where a target will be: its state by what was seen so far, and the same moved on in time.
 
-A target goes straight, turns left, or turns right, and changes between these after some time. In
-each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest, slowly where
-it goes straight and faster where it turns, under white acceleration: an integrated
+A target goes straight, turns left or right, or turns hard, and changes between these after some
+time. In each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest,
+slowly where it goes straight and faster where it turns, under white acceleration: an integrated
 Ornstein-Uhlenbeck process, which, other than constant velocity, stays honest for minutes
 (Millefiori et al., "Modeling vessel kinematics using a stochastic mean-reverting process for
 long-term prediction", *IEEE Trans. Aerosp. Electron. Syst.* 52(5), 2016). With east and north as
@@ -42,6 +42,7 @@ _SAME_TIME_S = 1e-6
 _NEAREST_M = 1e-3
 _ITERATIONS = 3
 _STEADY = np.sqrt(0.5)
+_MAY_BE_ZERO = ("turn_rate_radps", "hard_turn_rate_radps", "hard_share", "lasting_s")
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,8 @@ class MotionModel:
 
     Attributes:
         turn_rate_radps: Of the two manners in which a target turns, radians a second.
+        hard_turn_rate_radps: Of the two in which it turns hard, as small boats do.
+        hard_share: Share of the time of turning in which it turns hard.
         manner_s: Mean time in one manner.
         straight_share: Share of the time in which targets go straight.
         straight_s: Time constant with which the velocity reverts to rest while it goes straight.
@@ -64,6 +67,8 @@ class MotionModel:
     """
 
     turn_rate_radps: float = 0.17
+    hard_turn_rate_radps: float = 0.3
+    hard_share: float = 0.2
     manner_s: float = 5.0
     straight_share: float = 0.55
     straight_s: float = 600.0
@@ -76,34 +81,37 @@ class MotionModel:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            least = 0.0 if name in ("turn_rate_radps", "lasting_s") else np.nextafter(0.0, 1.0)
+            least = 0.0 if name in _MAY_BE_ZERO else np.nextafter(0.0, 1.0)
             if not least <= value < np.inf:
                 raise InputError(f"motion model: {name} is {value:g}; expected a positive number")
-        if not self.straight_share <= 1.0:
-            raise InputError(
-                f"motion model: straight_share is {self.straight_share:g}; expected at most 1"
-            )
+        for name in ("straight_share", "hard_share"):
+            if not getattr(self, name) <= 1.0:
+                raise InputError(
+                    f"motion model: {name} is {getattr(self, name):g}; expected at most 1"
+                )
 
     @property
     def turn_rates_radps(self) -> FloatArray:
-        """(3,) of the manners: straight, left, right."""
-        return self.turn_rate_radps * np.array([0.0, 1.0, -1.0])
+        """(5,) of the manners: straight, left, right, hard to the left, hard to the right."""
+        usual, hard = self.turn_rate_radps, self.hard_turn_rate_radps
+        return np.array([0.0, usual, -usual, hard, -hard])
 
     @property
     def shares(self) -> FloatArray:
-        """(3,) of the time in each manner."""
+        """(5,) of the time in each manner."""
         turning = 0.5 * (1.0 - self.straight_share)
-        return np.array([self.straight_share, turning, turning])
+        usual, hard = turning * (1.0 - self.hard_share), turning * self.hard_share
+        return np.array([self.straight_share, usual, usual, hard, hard])
 
     @property
     def revertings_s(self) -> FloatArray:
-        """(3,) time constants of the manners."""
-        return np.array([self.straight_s, self.turning_s, self.turning_s])
+        """(5,) time constants of the manners."""
+        return np.array([self.straight_s, *4 * [self.turning_s]])
 
     @property
     def accelerations_m2ps3(self) -> FloatArray:
-        """(3,) spectral densities of the manners."""
-        return np.array([self.straight_m2ps3, self.turning_m2ps3, self.turning_m2ps3])
+        """(5,) spectral densities of the manners."""
+        return np.array([self.straight_m2ps3, *4 * [self.turning_m2ps3]])
 
 
 def transition(
@@ -447,7 +455,8 @@ def _updated(
     far = max(1.0, float(distance2.min()) / motion.outlier_gate**2)
     noise, spread = far * noise, spread + (far - 1.0) * noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
-    likely = np.log(state.weight[0]) - 0.5 * (distance2 + np.log(np.linalg.det(spread)))
+    prior = np.log(np.maximum(state.weight[0], 1e-300))
+    likely = prior - 0.5 * (distance2 + np.log(np.linalg.det(spread)))
     weight = np.exp(likely - likely.max())
     for _ in range(_ITERATIONS):
         there, design = _sight(at[:, :2] - eye_m)
