@@ -20,6 +20,7 @@ from sightline.errors import InputError
 from sightline.formats import _extras
 from sightline.training.architecture import Target
 from sightline.training.data import Image, Picture, Sprite
+from sightline.training.wash import Hull, draw_wash, hull_of
 from sightline.types import BoolArray, FloatArray, IntArray
 
 _LEAST_SHARE = 0.5
@@ -27,6 +28,18 @@ _LEAST_SHARE = 0.5
 
 _FILL = 114
 _TRIES = 8
+
+_WASH_PASTED, _WASH_END_ON, _WASH_SEEN, _WASH_ALONE = 0.6, 0.9, 0.35, 0.12
+"""How often boats that are pasted in, those of them that are seen from ahead or astern, a boat that
+is there already, and water without a boat get a wash."""
+
+_END_ON_ASPECT = 1.35
+_END_ON_LEAST_PX = 16.0
+_END_ON_SHARE = 0.3
+"""Boats seen from ahead or astern have boxes about as wide as high. They are rare, and it is them
+that a wash surrounds: so often one of them is taken, where it is large enough to be near."""
+
+_LARGEST_RESIZE, _LARGEST_RESIZE_END_ON = 1.8, 2.5
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,8 @@ class Augmentation:
         color: Shifts of hue and saturation, and of the balance of the channels.
         compression: As JPEG does it.
         paste: Boats cut out of other pictures.
+        wash: Foam rendered on the water, around boats and without any; pictures that are rendered
+            have their own. Of the boats that are pasted in, more are seen from ahead or astern.
         rotation_deg: The largest.
         scales: Of crops: the least and the largest.
         native_share: Share of crops that are near the pictures' own scale, if it is in the range.
@@ -62,6 +77,7 @@ class Augmentation:
     color: bool = True
     compression: bool = True
     paste: bool = True
+    wash: bool = True
     rotation_deg: float = 4.0
     scales: tuple[float, float] = (0.2, 1.5)
     native_share: float = 0.6
@@ -124,6 +140,9 @@ class Batches:
         self._rendered = [picture for picture in pictures if not picture.real]
         self._backgrounds = list(backgrounds)
         self._sprites = list(sprites) if augmentation.paste else []
+        self._end_on = [
+            sprite for sprite in self._sprites if augmentation.wash and _is_end_on(sprite)
+        ]
         self._settings = augmentation
         self._size = size_px
         self._batch = batch
@@ -194,6 +213,8 @@ class Batches:
         corners = (picture.boxes_xyxy_px.astype(float) - [x, y, x, y]) * scale
         boxes = _Boxes(corners, picture.labels, picture.ignore, picture.worth)
         boxes = _clipped(corners, boxes, (0, 0, width, height), self._smallest)
+        if self._settings.wash and picture.real:
+            image = self._washed(rng, image, boxes, y, scale)
         if paste:
             image, boxes = self._paste(rng, image, boxes, y, scale)
         return image, boxes
@@ -232,6 +253,43 @@ class Batches:
         y = _within(y, -slack_y, full_height - height + slack_y)
         return x, y
 
+    def _horizon(self, y: float, scale: float) -> float | None:
+        """Its row in a crop."""
+        return None if self._vanishing is None else (self._vanishing - y) * scale
+
+    def _washed(
+        self, rng: np.random.Generator, image: Image, boxes: _Boxes, y: float, scale: float
+    ) -> Image:
+        """A crop with wash around one of its boats, or where there is none."""
+        horizon = self._horizon(y, scale)
+        kind = rng.random()
+        boats = boxes.corners[~boxes.ignore & (boxes.labels == 0)]
+        hull, gap_m = None, 0.0
+        if kind < _WASH_SEEN:
+            if len(boats):
+                hull = hull_of(rng, boats[int(rng.integers(len(boats)))], horizon)
+        elif kind < _WASH_SEEN + _WASH_ALONE:
+            hull, gap_m = self._passed(rng, horizon), float(rng.exponential(4.0))
+        if hull is None:
+            return image
+        image = image.copy()
+        draw_wash(rng, image, hull, kept_xyxy_px=boxes.corners, scale=scale, gap_m=gap_m)
+        return image
+
+    def _passed(self, rng: np.random.Generator, horizon: float | None) -> Hull:
+        """A boat that is not to be seen, in a crop or beside it."""
+        width, height = self._size
+        above = 0.2 * height if horizon is None else horizon
+        rise = max(height - above, 8.0) * float(rng.uniform(0.05, 1.3))
+        px_per_m = rise / float(rng.uniform(2.5, 7.0))
+        return Hull(
+            x_px=float(rng.uniform(-0.3, 1.3)) * width,
+            row_px=above + rise,
+            px_per_m=px_per_m,
+            rise_px=rise,
+            heading_rad=float(rng.uniform(-np.pi, np.pi)),
+        )
+
     def _paste(
         self,
         rng: np.random.Generator,
@@ -244,11 +302,19 @@ class Batches:
         parts = [boxes]
         known = boxes
         for _ in range(1 + int(rng.random() < 0.35)):
-            sprite = self._sprites[int(rng.integers(len(self._sprites)))]
+            end_on = bool(self._end_on) and rng.random() < _END_ON_SHARE
+            chosen = self._end_on if end_on else self._sprites
+            sprite = chosen[int(rng.integers(len(chosen)))]
             for _ in range(_TRIES):
-                placed = self._place(rng, sprite, known, y, scale)
+                placed = self._place(rng, sprite, known, y, scale, near=end_on)
                 if placed is not None:
                     resize, left, top = placed
+                    often = _WASH_END_ON if end_on else _WASH_PASTED
+                    if self._settings.wash and sprite.label == 0 and rng.random() < often:
+                        box = sprite.box_xyxy_px * resize + [left, top, left, top]
+                        hull = hull_of(rng, box, self._horizon(y, scale))
+                        if hull is not None:
+                            draw_wash(rng, image, hull, kept_xyxy_px=known.corners, scale=scale)
                     corners = _laid(rng, image, sprite, resize, left, top)
                     one = _Boxes(
                         corners[None],
@@ -269,6 +335,8 @@ class Batches:
         boxes: _Boxes,
         y: float,
         scale: float,
+        *,
+        near: bool,
     ) -> tuple[float, float, float] | None:
         """Size factor, left and top of a sprite in a crop; None where it would not fit there."""
         width, height = self._size
@@ -279,14 +347,15 @@ class Batches:
             first = max(self._vanishing + 4.0, y + 4.0)
             if lowest <= first:
                 return None
-            depth = rng.random() ** (2.0 if scale > 0.6 else 1.0)
+            depth = rng.random() ** (2.0 if scale > 0.6 and not near else 1.0)
             row = first + (lowest - first) * depth
             factor *= (row - self._vanishing) / (sprite.waterline_px - self._vanishing)
         else:
             row = sprite.waterline_px + rng.normal(0.0, 12.0)
         resize = factor * scale
         box_width, box_height = (sprite.box_xyxy_px[2:] - sprite.box_xyxy_px[:2]) * resize
-        if not 0.12 <= resize <= 1.8 or box_height < self._smallest[1] + 1.0:
+        largest = _LARGEST_RESIZE_END_ON if near else _LARGEST_RESIZE
+        if not 0.12 <= resize <= largest or box_height < self._smallest[1] + 1.0:
             return None
         bottom = (row - y) * scale
         middle = rng.uniform(-0.2 * box_width, width + 0.2 * box_width)
@@ -342,6 +411,13 @@ class Batches:
         corners = np.asarray(done["bboxes"], dtype=float).reshape(-1, 4)
         turned = _Boxes(corners, boxes.labels[rows], boxes.ignore[rows], boxes.worth[rows])
         return done["image"], _clipped(corners, turned, (0, 0, width, height), self._smallest)
+
+
+def _is_end_on(sprite: Sprite) -> bool:
+    width, height = sprite.box_xyxy_px[2:] - sprite.box_xyxy_px[:2]
+    return bool(
+        sprite.label == 0 and height >= _END_ON_LEAST_PX and width < _END_ON_ASPECT * height
+    )
 
 
 def _composition(albumentations: Any, settings: Augmentation) -> Any:

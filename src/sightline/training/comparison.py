@@ -515,6 +515,7 @@ def _augmentation(own: bool, added: bool, scales: tuple[float, float]) -> Augmen
         color=False,
         compression=False,
         paste=False,
+        wash=False,
         scales=scales,
     )
 

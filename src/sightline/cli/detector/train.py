@@ -103,6 +103,9 @@ def train(
     paste: Annotated[
         bool, typer.Option(help="Put boats, cut out of other pictures, into the crops.")
     ] = True,
+    wash: Annotated[
+        bool, typer.Option(help="Render foam around boats, and on water without any.")
+    ] = True,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Of the architecture. May be given several times."),
@@ -159,6 +162,7 @@ def train(
             noise=noise,
             mosaic=mosaic,
             paste=paste,
+            wash=wash,
             scales=parse_pair("--scales", scales, "-"),
         ),
         training=TrainingSettings(
