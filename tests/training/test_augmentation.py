@@ -19,6 +19,7 @@ PLAIN = Augmentation(
     color=False,
     compression=False,
     paste=False,
+    wash=False,
 )
 
 

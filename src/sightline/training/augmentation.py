@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
@@ -20,7 +20,7 @@ from sightline.errors import InputError
 from sightline.formats import _extras
 from sightline.training.architecture import Target
 from sightline.training.data import Image, Picture, Sprite
-from sightline.training.wash import Hull, draw_wash, hull_of
+from sightline.training.wash import Hull, draw_wash, hull_of, inner
 from sightline.types import BoolArray, FloatArray, IntArray
 
 _LEAST_SHARE = 0.5
@@ -34,10 +34,11 @@ _WASH_PASTED, _WASH_END_ON, _WASH_SEEN, _WASH_ALONE = 0.6, 0.9, 0.35, 0.12
 is there already, and water without a boat get a wash."""
 
 _END_ON_ASPECT = 1.35
-_END_ON_LEAST_PX = 16.0
-_END_ON_SHARE = 0.3
+_NEAR_LEAST_PX = 16.0
+_END_ON_SHARE = 0.35
 """Boats seen from ahead or astern have boxes about as wide as high. They are rare, and it is them
-that a wash surrounds: so often one of them is taken, where it is large enough to be near."""
+that a wash surrounds: so often one of them is pasted in, or one that is seen from the side and made
+as narrow. They are taken where they are large enough to be near."""
 
 _LARGEST_RESIZE, _LARGEST_RESIZE_END_ON = 1.8, 2.5
 
@@ -140,9 +141,8 @@ class Batches:
         self._rendered = [picture for picture in pictures if not picture.real]
         self._backgrounds = list(backgrounds)
         self._sprites = list(sprites) if augmentation.paste else []
-        self._end_on = [
-            sprite for sprite in self._sprites if augmentation.wash and _is_end_on(sprite)
-        ]
+        self._near = [sprite for sprite in self._sprites if augmentation.wash and _is_near(sprite)]
+        self._end_on = [sprite for sprite in self._near if _aspect(sprite) < _END_ON_ASPECT]
         self._settings = augmentation
         self._size = size_px
         self._batch = batch
@@ -261,6 +261,8 @@ class Batches:
         self, rng: np.random.Generator, image: Image, boxes: _Boxes, y: float, scale: float
     ) -> Image:
         """A crop with wash around one of its boats, or where there is none."""
+        # By numbers of its own, so that the crops are the same without any wash.
+        rng = rng.spawn(1)[0]
         horizon = self._horizon(y, scale)
         kind = rng.random()
         boats = boxes.corners[~boxes.ignore & (boxes.labels == 0)]
@@ -273,8 +275,25 @@ class Batches:
         if hull is None:
             return image
         image = image.copy()
-        draw_wash(rng, image, hull, kept_xyxy_px=boxes.corners, scale=scale, gap_m=gap_m)
+        kept = boxes.corners[~boxes.ignore]
+        draw_wash(rng, image, hull, kept_xyxy_px=kept, scale=scale, gap_m=gap_m)
         return image
+
+    def _wash_under(
+        self,
+        rng: np.random.Generator,
+        image: Image,
+        box: FloatArray,
+        known: _Boxes,
+        y: float,
+        scale: float,
+        often: float,
+    ) -> None:
+        """Wash, in place, of a boat that is about to be pasted over it."""
+        hull = hull_of(rng, box, self._horizon(y, scale)) if rng.random() < often else None
+        if hull is not None:
+            kept = known.corners[~known.ignore]
+            draw_wash(rng, image, hull, kept_xyxy_px=kept, scale=scale)
 
     def _passed(self, rng: np.random.Generator, horizon: float | None) -> Hull:
         """A boat that is not to be seen, in a crop or beside it."""
@@ -302,20 +321,19 @@ class Batches:
         parts = [boxes]
         known = boxes
         for _ in range(1 + int(rng.random() < 0.35)):
-            end_on = bool(self._end_on) and rng.random() < _END_ON_SHARE
-            chosen = self._end_on if end_on else self._sprites
-            sprite = chosen[int(rng.integers(len(chosen)))]
+            end_on = bool(self._near) and rng.random() < _END_ON_SHARE
+            sprite = self._boat_end_on(rng) if end_on else _one_of(rng, self._sprites)
             for _ in range(_TRIES):
                 placed = self._place(rng, sprite, known, y, scale, near=end_on)
                 if placed is not None:
                     resize, left, top = placed
-                    often = _WASH_END_ON if end_on else _WASH_PASTED
-                    if self._settings.wash and sprite.label == 0 and rng.random() < often:
+                    if self._settings.wash and sprite.label == 0:
                         box = sprite.box_xyxy_px * resize + [left, top, left, top]
-                        hull = hull_of(rng, box, self._horizon(y, scale))
-                        if hull is not None:
-                            draw_wash(rng, image, hull, kept_xyxy_px=known.corners, scale=scale)
-                    corners = _laid(rng, image, sprite, resize, left, top)
+                        often = _WASH_END_ON if end_on else _WASH_PASTED
+                        self._wash_under(rng.spawn(1)[0], image, box, known, y, scale, often)
+                    # A boat that comes out of the sun shows its dark side.
+                    shade = float(rng.uniform(0.0, 0.5)) if end_on else 0.0
+                    corners = _laid(rng, image, sprite, resize, left, top, shade=shade)
                     one = _Boxes(
                         corners[None],
                         np.array([sprite.label]),
@@ -327,6 +345,11 @@ class Batches:
                     known = _joined(parts)
                     break
         return image, _joined(parts)
+
+    def _boat_end_on(self, rng: np.random.Generator) -> Sprite:
+        if self._end_on and rng.random() < 0.5:
+            return _one_of(rng, self._end_on)
+        return _narrowed(_one_of(rng, self._near), float(rng.uniform(0.9, 1.6)))
 
     def _place(
         self,
@@ -413,10 +436,40 @@ class Batches:
         return done["image"], _clipped(corners, turned, (0, 0, width, height), self._smallest)
 
 
-def _is_end_on(sprite: Sprite) -> bool:
+def _one_of(rng: np.random.Generator, sprites: Sequence[Sprite]) -> Sprite:
+    return sprites[int(rng.integers(len(sprites)))]
+
+
+def _is_near(sprite: Sprite) -> bool:
+    height = sprite.box_xyxy_px[3] - sprite.box_xyxy_px[1]
+    return bool(sprite.label == 0 and height >= _NEAR_LEAST_PX)
+
+
+def _aspect(sprite: Sprite) -> float:
     width, height = sprite.box_xyxy_px[2:] - sprite.box_xyxy_px[:2]
-    return bool(
-        sprite.label == 0 and height >= _END_ON_LEAST_PX and width < _END_ON_ASPECT * height
+    return float(width / height)
+
+
+def _narrowed(sprite: Sprite, aspect: float) -> Sprite:
+    """A boat turned towards the camera, as far as its length in the picture tells.
+
+    Args:
+        sprite: The boat.
+        aspect: Width by height that its hull is to have; it gets no wider.
+    """
+    hull = inner(sprite.box_xyxy_px)
+    wide = aspect * (hull[3] - hull[1])
+    width = max(2, round(sprite.image.shape[1] * min(wide / (hull[2] - hull[0]), 1.0)))
+    factor = width / sprite.image.shape[1]
+    size = (width, sprite.image.shape[0])
+    # The margin around the hull keeps its width.
+    margin = hull[0] - sprite.box_xyxy_px[0]
+    x1, x2 = factor * hull[0] - margin, factor * hull[2] + margin
+    return replace(
+        sprite,
+        image=np.asarray(cv2.resize(sprite.image, size, interpolation=cv2.INTER_AREA)),
+        opacity=np.asarray(cv2.resize(sprite.opacity, size, interpolation=cv2.INTER_AREA)),
+        box_xyxy_px=np.array([x1, sprite.box_xyxy_px[1], x2, sprite.box_xyxy_px[3]]),
     )
 
 
@@ -492,9 +545,19 @@ def _cropped(image: Image, x: float, y: float, scale: float, size_px: tuple[int,
 
 
 def _laid(
-    rng: np.random.Generator, image: Image, sprite: Sprite, resize: float, left: float, top: float
+    rng: np.random.Generator,
+    image: Image,
+    sprite: Sprite,
+    resize: float,
+    left: float,
+    top: float,
+    *,
+    shade: float = 0.0,
 ) -> FloatArray:
-    """Lay a sprite on a picture, in place; returns its box."""
+    """Lay a sprite on a picture, in place; returns its box.
+
+    A share of about ``shade`` of its light may be missing.
+    """
     height, width = image.shape[:2]
     size = (
         max(2, round(sprite.image.shape[1] * resize)),
@@ -508,7 +571,8 @@ def _laid(
     if rng.random() < 0.5:
         colour, opacity = colour[:, ::-1], opacity[:, ::-1]
         box = np.array([size[0] - box[2], box[1], size[0] - box[0], box[3]])
-    colour = colour * float(np.exp(rng.normal(0.0, 0.12))) + float(rng.normal(0.0, 6.0))
+    light = np.exp(rng.normal(0.0, 0.12)) * (1.0 - shade)
+    colour = colour * float(light) + float(rng.normal(0.0, 6.0))
     x, y = round(left), round(top)
     x1, y1, x2, y2 = max(x, 0), max(y, 0), min(x + size[0], width), min(y + size[1], height)
     if x2 > x1 and y2 > y1:

@@ -29,6 +29,9 @@ _MARGIN_SHARE, _MARGIN_PX = 0.14, 1.0
 _LEAST_HEIGHT_PX = 7.0
 """Of a box; of a smaller boat the wash is a pixel high."""
 
+_PATTERN = ((0.5, 1.2), (0.3, 0.4), (0.2, 0.18))
+"""Shares of the foam's unevenness, and how large its patches are, in metres."""
+
 _FOCAL_PX = (900.0, 2200.0)
 _TEXELS = 256
 _TEXELS_A_CELL = 4.0
@@ -178,14 +181,13 @@ def _foam(
         off = np.where(off > 0.0, off / crest, -off / (float(rng.uniform(1.0, 3.0)) * crest))
         arm = arms * np.exp(-along / reach_m) * np.exp(-(off**2))
         dense = np.maximum(dense, np.where(behind > 0.15 * length + gap_m, arm, 0.0))
-    pattern = sum(
-        share * _sampled(rng, behind, side, cell_m)
-        for share, cell_m in ((0.5, 1.2), (0.3, 0.4), (0.2, 0.18))
-    )
+    pattern = np.zeros_like(behind)
+    for share, cell_m in _PATTERN:
+        pattern = pattern + share * _sampled(rng, behind, side, cell_m)
     opacity = _step((1.3 * dense - pattern) / float(rng.uniform(0.25, 0.7)))
     opacity = float(rng.uniform(0.8, 1.0)) * opacity
     # At the far end all of it is a line, and lines fade.
-    return (opacity * np.clip(3.0 - 0.5 * depth, 0.0, 1.0)).astype(np.float32)
+    return np.asarray(opacity * np.clip(3.0 - 0.5 * depth, 0.0, 1.0), dtype=np.float32)
 
 
 def _raised(rng: np.random.Generator, opacity: _Map, px_per_m: float) -> _Map:
