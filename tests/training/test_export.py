@@ -29,7 +29,7 @@ from sightline.training.darknet.module import DarknetModule
 from sightline.training.darknet.weights import write_weights
 from sightline.training.export import ExportError, _paired, _photograph, export_onnx
 from sightline.training.loop import CONFIGURATION, WEIGHTS, save_weights
-from sightline.training.trained import load_darknet, load_trained, read_names
+from sightline.training.trained import load_darknet, load_mean, load_trained, read_names
 from sightline.types import Frame
 
 SMALL = {
@@ -237,8 +237,8 @@ def test_without_pictures_the_check_has_as_much_of_each_frequency_as_a_photograp
     assert not np.array_equal(pixels, _photograph((2, 3, 256, 256), 2).numpy())
 
 
-def _trained(folder: Path, **options: object) -> Trainable:
-    torch.manual_seed(0)
+def _trained(folder: Path, seed: int = 0, **options: object) -> Trainable:
+    torch.manual_seed(seed)
     trainable = build("yolov4", CLASSES, cfg="yolov4-tiny")
     folder.mkdir()
     save_weights(folder / WEIGHTS, trainable, trainable.module.state_dict())
@@ -258,6 +258,58 @@ def test_a_training_is_read_from_its_folder(tmp_path: Path) -> None:
         assert again.class_names == CLASSES
         for name, value in trainable.module.state_dict().items():
             assert torch.equal(again.module.state_dict()[name], value)
+
+
+def test_trainings_have_a_mean(tmp_path: Path) -> None:
+    one, other = (_trained(tmp_path / f"run{seed}", seed).module.state_dict() for seed in (0, 1))
+    mean = load_mean([tmp_path / "run0", tmp_path / "run1"]).module.state_dict()
+    differing = 0
+    for name, value in mean.items():
+        wanted = ((one[name] + other[name]) / 2).to(value.dtype)
+        torch.testing.assert_close(value, wanted)
+        differing += int(not torch.equal(one[name], other[name]))
+    assert differing > 10
+    alone = load_mean([tmp_path / "run1"]).module.state_dict()
+    assert all(torch.equal(value, other[name]) for name, value in alone.items())
+
+
+def test_trainings_of_two_networks_have_no_mean(tmp_path: Path) -> None:
+    _trained(tmp_path / "run")
+    wider = build("harbour", CLASSES, width=1.5)
+    for name, network, options in (
+        ("small", build("harbour", CLASSES), {}),
+        ("wide", wider, {"width": 1.5}),
+    ):
+        folder = tmp_path / name
+        folder.mkdir()
+        save_weights(folder / WEIGHTS, network, network.module.state_dict())
+        content = {"architecture": "harbour", "classes": list(CLASSES), "options": options}
+        (folder / CONFIGURATION).write_text(json.dumps(content))
+    for first, second in (("run", "small"), ("small", "wide")):
+        with pytest.raises(InputError, match=f"{second}: is not of the same network and classes"):
+            load_mean([tmp_path / first, tmp_path / second])
+
+
+def test_the_mean_of_trainings_is_exported_and_a_cfg_has_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in (0, 1):
+        torch.manual_seed(seed)
+        network = build("harbour", CLASSES)
+        folder = tmp_path / f"run{seed}"
+        folder.mkdir()
+        save_weights(folder / WEIGHTS, network, network.module.state_dict())
+        content = {"architecture": "harbour", "classes": list(CLASSES)}
+        (folder / CONFIGURATION).write_text(json.dumps(content))
+    out = tmp_path / "mean.onnx"
+    two = (tmp_path / "run0", "--mean", tmp_path / "run1")
+    assert _run("detector", "export", *two, "-o", out) == 0
+    assert out.exists()
+    weights = tmp_path / "a.weights"
+    weights.write_bytes(b"")
+    cfg = ("yolov4-tiny", weights, "--mean", tmp_path / "run1")
+    assert _run("detector", "export", *cfg, "-o", tmp_path / "b.onnx") > 0
+    assert "--mean is for folders that detector train left" in capsys.readouterr().err
 
 
 def test_names_stand_one_in_a_line(tmp_path: Path) -> None:

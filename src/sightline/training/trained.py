@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from sightline.detection.classes import COCO
 from sightline.errors import InputError
 from sightline.training.architecture import ARCHITECTURES, Trainable, build
@@ -55,6 +57,37 @@ def load_trained(path: str | os.PathLike[str]) -> Trainable:
     load_weights(weights, trainable)
     trainable.module.eval()
     return trainable
+
+
+def load_mean(paths: Sequence[str | os.PathLike[str]]) -> Trainable:
+    """The mean of the weights of several trainings that began with the same ones.
+
+    Its errors are less those of one training than of what all have in common (Wortsman et al. 2022,
+    "model soups").
+
+    Args:
+        paths: As for `load_trained`; at least one.
+
+    Raises:
+        InputError: As `load_trained`, or they are not of one network.
+    """
+    first, *others = (load_trained(path) for path in paths)
+    mean = first.module.state_dict()
+    for path, other in zip(paths[1:], others, strict=True):
+        same = {name: value.shape for name, value in other.module.state_dict().items()} == {
+            name: value.shape for name, value in mean.items()
+        }
+        if not same or (other.name, other.class_names) != (first.name, first.class_names):
+            raise InputError(
+                f"{path}: is not of the same network and classes as {paths[0]}, so their weights "
+                "have no mean"
+            )
+    states = [one.module.state_dict() for one in (first, *others)]
+    for name, value in mean.items():
+        # Counters of steps are no weights.
+        if value.is_floating_point():
+            value.copy_(torch.stack([state[name].double() for state in states]).mean(dim=0))
+    return first
 
 
 def load_darknet(

@@ -35,6 +35,14 @@ def export(
         Path | None,
         typer.Argument(metavar="[WEIGHTS]", help="With a .cfg: the .weights that belongs to it."),
     ] = None,
+    mean: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DIR",
+            help="With DIR: another training that began with the same weights; the mean of the "
+            "weights is written. May be given several times.",
+        ),
+    ] = None,
     names: Annotated[
         Path | None,
         typer.Option(
@@ -62,9 +70,9 @@ def export(
     _extras.module("torch", "train")
     # Late: without torch the other commands must work.
     from sightline.training.export import export_onnx
-    from sightline.training.trained import load_darknet, load_trained
+    from sightline.training.trained import load_darknet, load_mean
 
-    keep_apart([output, json], [source, weights, names])
+    keep_apart([output, json], [source, weights, names, *(mean or [])])
     if output.suffix != ".onnx":
         raise InputError(f"{output}: the file of a detector must end in .onnx")
     size_px = parse_size_px("--size", size) if size else None
@@ -76,13 +84,15 @@ def export(
         )
     if not darknet and (weights is not None or names is not None):
         raise InputError(f"{source}: is no .cfg, and only a .cfg goes with .weights and --names")
+    if darknet and mean:
+        raise InputError(f"{source}: is a .cfg; --mean is for folders that detector train left")
     with progress() as tell:
         tell("reading the network", float("nan"))
         trainable: Trainable
         if weights is not None:
             trainable = load_darknet(source, weights, names)
         else:
-            trainable = load_trained(source)
+            trainable = load_mean([source, *(mean or [])])
         wanted = parse_known_names(classes, "class", trainable.class_names)
         if not wanted and darknet:
             wanted = trainable.class_names
