@@ -74,13 +74,14 @@ def made_harbour(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def frames() -> Iterator[Frame]:
-    """A dark boat that crosses a grey sea from left to right in four seconds."""
+    """A dark boat, somebody in it, that crosses a grey sea from left to right in four seconds."""
     width, height = SIZE_PX
     sea = np.random.default_rng(0).integers(150, 160, (height, width, 3), dtype=np.uint8)
     for index in range(40):
         image = sea.copy()
         left = 100 + 8 * index
         image[235:255, left : left + 50] = 20
+        image[225:235, left + 20 : left + 32] = 20
         yield Frame(index, START_UTC_S + 0.1 * index, image)
 
 
