@@ -2,6 +2,8 @@
 
     python benchmarks/from_frames.py [SCENE [MAP.png]]
 
+The map leaves out recordings in which nothing was placed.
+
 No drawn box is used to learn. Each recording is searched by a detector that was not trained on it:
 the shipped one, or for the recordings that it learned from `detectors/fold2.onnx`, which learned
 from others. The camera is learned from the logged boat that is recognised in the other recordings.
@@ -140,7 +142,8 @@ def main() -> None:
             times = times[synchronise(fixes, times, drawn.plane).matched]
             tracks = track_recording(bare[recording.name], model, seen, TrackSettings())
             pairs, _ = pair_target(tracks, fixes)
-            panels.append(MapPanel(f"recording {recording.name}", pairs, smooth=True))
+            if len(pairs):
+                panels.append(MapPanel(f"recording {recording.name}", pairs, smooth=True))
             own = [
                 float(pairs.error_m[np.argmin(np.abs(pairs.time_utc_s - when))])
                 for when in times

@@ -159,6 +159,20 @@ def test_tables_of_labels_may_lie_beside_the_list_of_empty_frames(tmp_path: Path
         assert (len(eight.boxes), eight.frames.tolist()) == (0, [500])
 
 
+def test_other_boats_are_errors_to_find_where_that_is_asked(tmp_path: Path) -> None:
+    path = tmp_path / "07.csv"
+    path.write_text(
+        "frame,x1,y1,x2,y2,target\n0,100,50,140,70,1\n0,10,20,50,40,0\n1,10,20,50,40,0\n2,,,,,\n"
+    )
+    labels = read_labels(path)
+    alone = labels.without_others()
+    assert alone.boxes.frame.tolist() == [0]
+    assert alone.target.all()
+    # Frames with other boats alone are still looked at.
+    assert alone.frames.tolist() == labels.frames.tolist() == [0, 1, 2]
+    assert alone.empty_frames.tolist() == [1, 2]
+
+
 def test_margins_of_annotators_and_specks(tmp_path: Path) -> None:
     (tmp_path / "07.csv").write_text(
         "frame,x1,y1,x2,y2,annotator,target\n"

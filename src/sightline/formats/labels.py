@@ -72,6 +72,13 @@ class Labels:
         """(M,) int64, in order: all frames of which something is known."""
         return np.unique(np.concatenate([self.boxes.frame, self.empty_frames]))
 
+    def without_others(self) -> Labels:
+        """As if other boats had not been drawn: to find one is then an error."""
+        boxes = self.boxes[self.target]
+        return Labels(
+            boxes, np.ones(len(boxes), dtype=bool), np.setdiff1d(self.frames, boxes.frame)
+        )
+
     def without_specks(self, least_height_px: float) -> Labels:
         """Boxes that are lower are taken for other boats: neither right nor wrong to find."""
         heights = self.boxes.xyxy_px[:, 3] - self.boxes.xyxy_px[:, 1]

@@ -75,6 +75,14 @@ def evaluate(
             "to find.",
         ),
     ] = 0.0,
+    others_false: Annotated[
+        bool,
+        typer.Option(
+            "--others-false",
+            help="To find another boat that was drawn is an error; otherwise it is neither right "
+            "nor wrong.",
+        ),
+    ] = False,
     iou: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Overlap from which a box counts as found.")
     ] = DEFAULT_IOU,
@@ -96,7 +104,9 @@ def evaluate(
         loaded = loaded.select(parse_names(recordings))
     margins = parse_margins(margin or [])
     known = {
-        name: one.without_specks(least_height).widened(margins)
+        name: (one.without_others() if others_false else one)
+        .without_specks(least_height)
+        .widened(margins)
         for name, one in scene_labels(loaded, labels).items()
     }
     fitted = load_model(model) if model is not None else None
