@@ -159,6 +159,19 @@ def test_ellipses_hold_boats_that_turn_harder_than_most() -> None:
     assert shares[10.0] > without[10.0] + 0.03
 
 
+def test_a_target_that_was_long_out_of_sight_is_begun_anew() -> None:
+    rng = np.random.default_rng(3)
+    truth = simulated(rng, MotionModel(), 100.0, 1.0)
+    measured = truth[:, :2] + rng.normal(0.0, 2.0, truth[:, :2].shape)
+    rows = np.r_[0:20, 60:80]
+    whole = follow(rows.astype(float), positions(measured[rows], 2.0))
+    after = follow(np.arange(60.0, 80.0), positions(measured[60:80], 2.0))
+    for name in ("weight", "mean", "covariance"):
+        np.testing.assert_array_equal(getattr(whole, name)[20:], getattr(after, name))
+    kept = follow(rows.astype(float), positions(measured[rows], 2.0), MotionModel(forgotten_s=60.0))
+    assert not np.array_equal(kept.mean[20], after.mean[0])
+
+
 def test_nothing_that_comes_later_changes_what_was_known() -> None:
     rng = np.random.default_rng(0)
     truth = simulated(rng, MotionModel(), 40.0, 1.0)

@@ -62,6 +62,8 @@ class MotionModel:
         speed_mps: Standard deviation of each component of the velocity of a new target.
         lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
             accordingly less.
+        forgotten_s: After so long without a position a target is begun anew: it may be anywhere,
+            and a filter that is linear about where it was expected may end far from where it is.
         outlier_gate: A position further from the expected one than so many standard deviations
             is taken for accordingly less precise.
     """
@@ -77,6 +79,7 @@ class MotionModel:
     turning_m2ps3: float = 0.1
     speed_mps: float = 2.0
     lasting_s: float = 0.6
+    forgotten_s: float = 30.0
     outlier_gate: float = 3.5
 
     def __post_init__(self) -> None:
@@ -391,13 +394,16 @@ def follow(
     measured, _ = measurements(time_utc_s, positions, None, None, track_id)
     eye = np.zeros((len(positions), 2)) if eye_m is None else np.asarray(eye_m, dtype=np.float64)
     eye = eye[measured.rows]
-    state = _begun(measured, positions.plane, motion)
+    state = _begun(measured, positions.plane, motion, 0)
     states = [state]
     last_s = float(measured.time_utc_s[0])
     for i in range(1, measured.time_utc_s.size):
         lag_s = float(measured.time_utc_s[i]) - last_s
         last_s += lag_s
-        state = _updated(state.ahead(lag_s), measured, eye[i], i, lag_s)
+        if lag_s > motion.forgotten_s:
+            state = _begun(measured, positions.plane, motion, i)
+        else:
+            state = _updated(state.ahead(lag_s), measured, eye[i], i, lag_s)
         if lag_s > _SAME_TIME_S:
             states.append(state)
         else:
@@ -413,17 +419,17 @@ def follow(
     )
 
 
-def _begun(measured: Measurements, plane: LocalPlane, motion: MotionModel) -> MotionState:
+def _begun(measured: Measurements, plane: LocalPlane, motion: MotionModel, i: int) -> MotionState:
     k = motion.shares.size
     covariance = np.zeros((4, 4))
-    covariance[:2, :2] = measured.covariance_m2[0]
+    covariance[:2, :2] = measured.covariance_m2[i]
     covariance[2:, 2:] = motion.speed_mps**2 * np.eye(2)
     return MotionState(
-        time_utc_s=measured.time_utc_s[:1],
+        time_utc_s=measured.time_utc_s[i : i + 1],
         weight=motion.shares[None, :],
-        mean=np.tile(np.append(measured.en_m[0], [0.0, 0.0]), (1, k, 1)),
+        mean=np.tile(np.append(measured.en_m[i], [0.0, 0.0]), (1, k, 1)),
         covariance=np.tile(covariance, (1, k, 1, 1)),
-        shared=_of_place(measured.shared_m2[0]),
+        shared=_of_place(measured.shared_m2[i]),
         plane=plane,
         motion=motion,
     )
