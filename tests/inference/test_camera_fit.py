@@ -399,3 +399,26 @@ def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> 
         single = model.predict(boxes_of(pixel[:1]), source="somebody")
         np.testing.assert_allclose(single[0], found[0], rtol=1e-6)
     assert off[2.0] < 0.5 * off[0.0]
+
+
+def test_boxes_of_one_moment_are_of_one_place() -> None:
+    """The same boxes once more, under another name, tell nothing new of the camera."""
+    world = plant(3, recordings=1)
+    once = replace(world.sightings, time_s=10.0 * np.arange(len(world.sightings), dtype=float))
+    rows = np.tile(np.arange(len(once)), 2)
+    twice = once[rows]
+    apart = replace(twice, time_s=twice.time_s + 5.0 * (np.arange(len(twice)) >= len(once)))
+    # No source has a bias here, so that nothing is to be learned of a second one.
+    known = CameraPrior(bias_px_sigma=1e-6, bias_m_sigma=1e-6)
+    noise = replace(NOISE, drift_m=0.0)
+    sigmas = [
+        np.sqrt(
+            np.diag(
+                fit_camera(s, SIZE, n_sources=1, prior=known, noise=noise, starts=2).covariance
+            )[: len(PARAMETERS)]
+        )
+        for s in (once, twice, apart)
+    ]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.03)
+    # Five seconds later they would.
+    assert (sigmas[2] < 0.9 * sigmas[0]).sum() >= 4

@@ -995,6 +995,15 @@ class _Problem:
         return float(np.clip(shared / max(shared + within, 1e-12), 0.0, 1.0))
 
     def _crowding(self, share: float) -> FloatArray:
-        """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share."""
-        _, inverse, count = np.unique(self.sightings.group, return_inverse=True, return_counts=True)
-        return np.asarray(1.0 + (count[inverse] - 1.0) * share)
+        """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share.
+
+        Boxes of one moment, drawn by one and found by another, are of one place, and count as one.
+        """
+        s = self.sightings
+        _, inverse, count = np.unique(s.group, return_inverse=True, return_counts=True)
+        timed = np.flatnonzero(self.timed)
+        moment = np.stack([s.log[timed].astype(float), s.time_s[timed]], axis=1)
+        _, at, alike = np.unique(moment, axis=0, return_inverse=True, return_counts=True)
+        of_moment = np.ones(len(s))
+        of_moment[timed] = alike[at.ravel()]
+        return np.asarray((1.0 + (count[inverse] - 1.0) * share) * of_moment)

@@ -112,6 +112,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         velocity_mps: ArrayLike | None = None,
         time_s: ArrayLike | None = None,
         above_m: ArrayLike | None = None,
+        beside: ArrayLike | None = None,
         control_px: ArrayLike | None = None,
         control_east_north_m: ArrayLike | None = None,
         control_sigma_m: ArrayLike | None = None,
@@ -130,6 +131,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 NaN: those of a recording are not.
             above_m: (N,) how high the water stood at each box above the plane that the camera's
                 height is over. Absent: at it.
+            beside: (N,) bool, boxes of which the residual process learns nothing: what a detector
+                makes of a boat differs from what people do, in size as in place, and its boxes are
+                there to learn its lower edge by. Absent: it learns of all.
             control_px: (M, 2) pixels of control points.
             control_east_north_m: (M, 2) metres.
             control_sigma_m: (M,) how far off each may lie; absent: `CONTROL_POINT_SIGMA_M`.
@@ -202,7 +206,11 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             offset = self.fit_.clock_offset_s
             clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
             late = np.array([clocks.get(int(g), 0.0) for g in self._group])
-            self._learn_residual(boxes, places + late[:, None] * velocity, names, times, above)
+            learns: BoolArray = np.ones(n, dtype=np.bool_)
+            if beside is not None:
+                learns = ~np.asarray(beside, dtype=np.bool_)
+            put_right = places + late[:, None] * velocity
+            self._learn_residual(boxes, put_right, names, times, above, learns)
         return self
 
     def predict(
@@ -444,6 +452,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         names: Any,
         time_s: FloatArray,
         above_m: FloatArray,
+        own: BoolArray,
     ) -> None:
         n = len(boxes)
         inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
@@ -463,7 +472,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 targets[rows, 0] = np.log(np.hypot(east[rows], north[rows]) / seen.distance)
                 targets[rows, 1] = np.arctan2(np.sin(turn), np.cos(turn))
             usable = (
-                np.isfinite(inputs).all(axis=1)
+                own
+                & np.isfinite(inputs).all(axis=1)
                 & np.isfinite(targets).all(axis=1)
                 & (noise[:, 0] < LARGEST_RELATIVE_SIGMA)
                 & ~self.fit_.outlier[:n]

@@ -366,7 +366,8 @@ def fit(
         model: One of `MODELS`. The paper's learn from boxes alone, ours from control points too.
         seed: Of whatever is random in the fit.
         extra: Further boxes of the logged target, from another source, by recording: so that the
-            habits of a detector are learned beside those of an annotator.
+            habits of a detector are learned beside those of an annotator. The residual process of
+            ``camera+gpr`` learns nothing of them.
         progress: Told which recording's pictures are looked at.
 
     Raises:
@@ -581,6 +582,7 @@ def _fit_pairs(
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
             above_m=above_m,
+            beside=pairs.beside,
             control_px=np.concatenate([control.pixel_px, far.pixel_px]),
             control_east_north_m=np.concatenate([control_east_north, far.east_north_m]),
             control_sigma_m=np.concatenate(

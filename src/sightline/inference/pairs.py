@@ -13,7 +13,7 @@ from sightline.geodesy import LocalPlane
 from sightline.platform import to_bow, turned
 from sightline.scene import Recording, Scene, check_overlap
 from sightline.synchronisation import LARGEST_GAP_S, synchronise
-from sightline.types import Boxes, FloatArray, StrArray
+from sightline.types import BoolArray, Boxes, FloatArray, StrArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +29,8 @@ class Pairs:
         plane: Where the origin lies.
         vessel: (N,) str, whose box it is, where a recording has several. Absent: one.
         water_level_m: (N,) float64, how high the water stood above the datum. Absent: at it.
+        beside: (N,) bool, whether a box is of a source that is only to have its habits learned,
+            beside those of whoever drew. Absent: none is.
     """
 
     boxes: Boxes
@@ -39,12 +41,15 @@ class Pairs:
     plane: LocalPlane
     vessel: StrArray = field(default_factory=lambda: np.empty(0, dtype=np.str_))
     water_level_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    beside: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         if self.vessel.size == 0:
             object.__setattr__(self, "vessel", np.full(len(self.boxes), ""))
         if self.water_level_m.size == 0:
             object.__setattr__(self, "water_level_m", np.zeros(len(self.boxes)))
+        if self.beside.size == 0:
+            object.__setattr__(self, "beside", np.zeros(len(self.boxes), dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -58,6 +63,7 @@ class Pairs:
             velocity_mps=self.velocity_mps[rows],
             vessel=self.vessel[rows],
             water_level_m=self.water_level_m[rows],
+            beside=self.beside[rows],
         )
 
 
@@ -117,6 +123,7 @@ def scene_pairs(
         if recording.boxes_path is None or recording.fixes_path is None:
             continue
         boxes = recording.boxes()
+        drew = np.unique(boxes.source)
         if extra and recording.name in extra:
             boxes = Boxes.concatenate([boxes, extra[recording.name]])
         asked = len(boxes)
@@ -142,6 +149,7 @@ def scene_pairs(
                 asked=asked,
                 plane=plane,
                 water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
+                beside=~np.isin(boxes.source[rows], drew),
             )
         )
     if silent and len(silent) == len(parts):
@@ -164,6 +172,7 @@ def scene_pairs(
         asked=sum(part.asked for part in parts),
         plane=plane,
         water_level_m=np.concatenate([part.water_level_m for part in parts]),
+        beside=np.concatenate([part.beside for part in parts]),
     )
 
 
