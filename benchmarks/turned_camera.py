@@ -19,7 +19,7 @@ import numpy as np
 import sightline
 from sightline import Georeferencer, Scene
 from sightline.pipeline import place_boxes
-from sightline.pipeline.standing import StandingWatch, recording_turns
+from sightline.pipeline.standing import StandingWatch, recording_conditions
 from sightline.simulation import Knock, simulate
 from sightline.simulation.harbour import START_UTC_S
 
@@ -70,7 +70,7 @@ def main() -> None:
             knock = Knock(TURNED_S, *turn.tolist())
             turned = world(Path(folder) / "turned", seed, knock)
             model = sightline.fit(still.select(["01"]), "camera")
-            alarms += recording_turns(still["02"], model) is not None
+            alarms += recording_conditions(still["02"], model).turns is not None
             own = errors(still, model)
             # The pictures of the two worlds are not drawn alike: each has its own view.
             model = sightline.fit(turned.select(["01"]), "camera")
@@ -78,7 +78,7 @@ def main() -> None:
             for frame in turned["02"].frames():
                 watch.look(frame)
             late += [one.time_utc_s - TURNED_S for one in watch.noticed]
-            found = recording_turns(turned["02"], model)
+            found = recording_conditions(turned["02"], model).turns
             if found is not None:
                 off_deg.append(np.abs(found.angles_deg[-1] - turn).max())
             unwatched = replace(turned, camera=replace(turned.camera, watched=False))

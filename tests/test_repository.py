@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import ast
+import importlib
+import importlib.util
 import re
 import subprocess
 import sys
@@ -132,3 +135,24 @@ def test_the_package_is_quick_to_import() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == []
+
+
+def _benchmarks() -> list[Path]:
+    return sorted((ROOT / "benchmarks").rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", _benchmarks(), ids=lambda path: path.stem)
+def test_benchmarks_ask_for_what_is_there(path: Path) -> None:
+    """They are run seldom, and must not rot in between."""
+    asked = [
+        (node.module, name.name)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "sightline"
+        for name in node.names
+    ]
+    for module, name in asked:
+        assert module is not None
+        if module.startswith("sightline.training") and importlib.util.find_spec("torch") is None:
+            continue
+        there = hasattr(importlib.import_module(module), name)
+        assert there or importlib.util.find_spec(f"{module}.{name}") is not None, (module, name)
