@@ -23,7 +23,16 @@ from sightline.clock import Clock, presentation_clock
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
-from sightline.types import NO_FRAME, Boxes, ControlPoints, Fixes, FloatArray, Frame, Horizons
+from sightline.types import (
+    NO_FRAME,
+    Boxes,
+    ControlPoints,
+    Fixes,
+    FloatArray,
+    Frame,
+    Horizons,
+    utc_text,
+)
 from sightline.water import WaterLevels
 
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -519,14 +528,10 @@ def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
             return
         raise InputError(
             f"{where}: its log does not overlap it; the recording runs from "
-            f"{_utc(known.min())} to {_utc(known.max())}, the log from {_utc(first)} to "
-            f"{_utc(last)} (UTC)"
+            f"{utc_text(known.min())} to {utc_text(known.max())}, the log from {utc_text(first)} "
+            f"to {utc_text(last)} (UTC)"
         )
     raise InputError(f"{where}: has no times or an empty log")
-
-
-def _utc(time_utc_s: float) -> str:
-    return datetime.fromtimestamp(float(time_utc_s), UTC).strftime("%Y-%m-%d %H:%M:%S")
 
 
 # Recordings share their logs, which are long.

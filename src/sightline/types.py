@@ -55,6 +55,16 @@ def from_datetime64(time_utc: ArrayLike) -> FloatArray:
     return np.where(np.isnat(stamps), np.nan, seconds)
 
 
+def utc_text(time_utc_s: float) -> str:
+    """A finite time to the second, as people read it: ``2024-06-01 10:00:00``."""
+    return str(np.datetime_as_string(to_datetime64(time_utc_s), "s")).replace("T", " ")
+
+
+def rfc3339(time_utc_s: float) -> str:
+    """A finite time to the second: ``2024-06-01T10:00:00Z``."""
+    return f"{np.datetime_as_string(to_datetime64(time_utc_s), 's')}Z"
+
+
 def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> None:
     array = np.array(values, dtype=dtype)
     if array.shape != shape:

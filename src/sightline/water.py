@@ -7,13 +7,12 @@ tides says: a metre of tide under a camera four metres high is a quarter of ever
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.errors import InputError
-from sightline.types import FloatArray
+from sightline.types import FloatArray, utc_text
 
 LEVEL_SIGMA_M = 0.1
 """How far off a level is taken to be: tables of tides know nothing of wind and weather."""
@@ -78,19 +77,15 @@ class WaterLevels:
         unknown = ~((times >= first - _HELD_S) & (times <= last + _HELD_S))
         unknown |= (gap > _LONGEST_GAP_S) & (times > begin) & (times < begin + gap)
         if unknown.any():
-            when = _utc(float(times[np.argmax(unknown)]))
+            time_s = float(times[np.argmax(unknown)])
+            when = utc_text(time_s) if np.isfinite(time_s) else "a frame without a time"
             raise InputError(
-                f"water levels: they say nothing of {when}; they run from {_utc(first)} to "
-                f"{_utc(last)} (UTC), and no gap may be longer than {_LONGEST_GAP_S / 3600.0:g} h"
+                f"water levels: they say nothing of {when}; they run from {utc_text(first)} to "
+                f"{utc_text(last)} (UTC), and no gap may be longer than "
+                f"{_LONGEST_GAP_S / 3600.0:g} h"
             )
         share = np.clip((times - begin) / gap, 0.0, 1.0)
         share = np.where(gap > _SLACK_S, 0.5 - 0.5 * np.cos(np.pi * share), share)
         return np.asarray(
             self.level_m[after - 1] + share * (self.level_m[after] - self.level_m[after - 1])
         )
-
-
-def _utc(time_utc_s: float) -> str:
-    if not np.isfinite(time_utc_s):
-        return "a frame without a time"
-    return datetime.fromtimestamp(time_utc_s, UTC).strftime("%Y-%m-%d %H:%M:%S")

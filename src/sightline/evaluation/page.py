@@ -30,7 +30,7 @@ from sightline.evaluation.report import Matched, Report, TracksUsed, without_nan
 from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
-from sightline.types import Fixes, FloatArray, IntArray, PointKind, Track, ellipses, to_datetime64
+from sightline.types import Fixes, FloatArray, IntArray, PointKind, Track, ellipses, utc_text
 
 KNOTS_PER_MPS = 3600.0 / 1852.0
 
@@ -596,14 +596,14 @@ def _apart(covariance_m2: FloatArray, places: FloatArray) -> IntArray:
     The ellipses of a target that hardly moves would lie on one another, and hide its track.
     """
     chosen: list[int] = []
-    for i, place in enumerate(places):
-        if not np.isfinite(covariance_m2[i]).all():
-            continue
+    precision = np.zeros((2, 2))
+    for i in np.flatnonzero(np.isfinite(covariance_m2).all(axis=(1, 2))):
         if chosen:
-            off = place - places[chosen[-1]]
-            if off @ np.linalg.pinv(covariance_m2[chosen[-1]], hermitian=True) @ off < 1.0:
+            off = places[i] - places[chosen[-1]]
+            if off @ precision @ off < 1.0:
                 continue
-        chosen.append(i)
+        chosen.append(int(i))
+        precision = np.linalg.pinv(covariance_m2[i], hermitian=True)
     return np.array(chosen, dtype=np.int64)
 
 
@@ -680,7 +680,7 @@ def clock_time(time_utc_s: float) -> str:
     """Date and time of day to the second, UTC; a dash where not known."""
     if not math.isfinite(time_utc_s):
         return "–"
-    return str(np.datetime_as_string(to_datetime64(time_utc_s), "s")).replace("T", " ") + " UTC"
+    return f"{utc_text(time_utc_s)} UTC"
 
 
 @cache

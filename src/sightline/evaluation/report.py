@@ -33,7 +33,7 @@ from sightline.evaluation.metrics import (
 from sightline.formats.atomic import atomic_path
 from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S
-from sightline.types import Fixes, Positions, Track, to_datetime64
+from sightline.types import Fixes, Positions, Track, rfc3339
 
 LEAST_OVERLAP_S = 5.0
 """A track that meets the log for less is not taken for the target while another meets it longer."""
@@ -478,8 +478,7 @@ def _refuse_nothing(
         raise InputError("the log has no fixes")
     log_start, log_end = min(s[0] for s in stamps), max(s[-1] for s in stamps)
     spans = [
-        f"{np.datetime_as_string(to_datetime64(a), 's')}Z to "
-        f"{np.datetime_as_string(to_datetime64(b), 's')}Z"
+        f"{rfc3339(a)} to {rfc3339(b)}"
         for a, b in ((known.min(), known.max()), (log_start, log_end))
     ]
     raise InputError(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +22,7 @@ from sightline.detection.looking import Progress
 from sightline.detection.stances import least_turn_deg, recording_stances
 from sightline.inference.camera import Camera
 from sightline.scene import Scene
-from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Positions
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Positions, rfc3339
 
 _LEAST_SIGMAS = 4.0
 # Strips are no surer than this, however well they agree.
@@ -206,8 +205,7 @@ class Turns:
                 continue
             when = "from its beginning"
             if k:
-                since = datetime.fromtimestamp(float(self.since_utc_s[k]), UTC)
-                when = f"from {since.strftime('%Y-%m-%dT%H:%M:%SZ')} on"
+                when = f"from {rfc3339(float(self.since_utc_s[k]))} on"
             if sigmas[1] > 0.5 * _UNSEEN_DEG:
                 out.append(f"{when} the camera lay otherwise, and its pictures do not tell how.")
                 continue

@@ -6,7 +6,6 @@ import logging
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from sightline.inference.georeferencer import Georeferencer
 from sightline.inference.turning import Turns, seen_again
 from sightline.pipeline.conditions import Conditions
 from sightline.scene import Recording
-from sightline.types import Boxes, FloatArray, Frame
+from sightline.types import Boxes, FloatArray, Frame, rfc3339
 from sightline.water import WaterLevels
 
 _COLUMNS = 33
@@ -193,14 +192,13 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
 
 def turn_sentence(turn: CameraTurn) -> str:
     """A turn in words."""
-    when = datetime.fromtimestamp(turn.time_utc_s, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     heading = (
         f"{turn.heading_deg:+.2f} degrees in heading"
         if np.isfinite(turn.heading_deg)
         else "an unknown angle, since only the horizon is seen, in heading"
     )
     return (
-        f"the camera was turned shortly before {when}: by {heading}, "
+        f"the camera was turned shortly before {rfc3339(turn.time_utc_s)}: by {heading}, "
         f"{turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll, "
         f"{turn.shift_px:.1f} px in the picture."
     )
