@@ -388,6 +388,11 @@ def moved_positions(positions: Positions, pose: Pose) -> Positions:
     )
 
 
+def on_earth(positions: Positions, pose: Pose) -> Positions:
+    """Positions in the bow's frame, starboard and ahead, in the earth's plane."""
+    return moved_positions(north_up(positions, pose), pose)
+
+
 def moved_track(track: Track, pose: Pose) -> Track:
     """A track about the platform (`north_up`) in the earth's plane.
 

@@ -23,6 +23,10 @@ class Conditions:
     turns: Turns | None = None
     water: WaterLevels | None = None
 
+    def level(self, boxes: Boxes) -> Boxes:
+        """Boxes as the camera of the model would have seen them, those of which that is known."""
+        return boxes if self.turns is None else self.turns.level(boxes)
+
     def locate(self, boxes: Boxes, model: Georeferencer) -> Positions:
         """Where boxes lie from which the turns of the camera were taken off.
 

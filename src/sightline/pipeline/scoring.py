@@ -27,7 +27,7 @@ from sightline.pipeline.tracking import (
     smooth_boxes,
     states,
 )
-from sightline.platform import Platform, moved_positions, north_up
+from sightline.platform import Platform, on_earth
 from sightline.scene import Scene
 from sightline.tracks import Tracks
 from sightline.trajectory import method
@@ -101,7 +101,7 @@ class Placed:
         positions = self.conditions.locate(self.boxes, self.model)
         if self.platform is not None:
             pose = self.platform.pose(self.boxes.time_utc_s, self.model.plane)
-            positions = moved_positions(north_up(positions, pose), pose)
+            positions = on_earth(positions, pose)
         return pair_positions(
             self.boxes.time_utc_s,
             positions,
@@ -131,11 +131,6 @@ class Placed:
         Args:
             motion: How targets move. Absent: as vessels do.
         """
-        known = self.conditions.locate(self.boxes, self.model).known
-        if self.platform is not None:
-            known = known & self.platform.pose(self.boxes.time_utc_s, self.model.plane).known
-        if not known.any():
-            return None
         return states(self.boxes, self.model, self.platform, self.conditions, motion=motion)
 
 
@@ -155,10 +150,8 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
             continue
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
-        boxes = model.level(recording.boxes(), scene_horizons(recording))
         conditions = recording_conditions(recording, model, watched=scene.camera.watched)
-        if conditions.turns is not None:
-            boxes = conditions.turns.level(boxes)
+        boxes = conditions.level(model.level(recording.boxes(), scene_horizons(recording)))
         placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform, conditions))
     if not placed:
         raise InputError(

@@ -17,7 +17,7 @@ from sightline.detection.stances import (
     recording_stances,
 )
 from sightline.inference.georeferencer import Georeferencer
-from sightline.inference.turning import Turns, seen_again
+from sightline.inference.turning import seen_again
 from sightline.pipeline.conditions import Conditions
 from sightline.scene import Recording
 from sightline.types import Boxes, FloatArray, Frame, rfc3339
@@ -52,9 +52,7 @@ class Standing:
         Args:
             batches: In the order of time.
         """
-        turns = self._conditions.turns
-        for boxes in batches:
-            yield boxes if turns is None else turns.level(boxes)
+        return map(self._conditions.level, batches)
 
 
 class StandingWatch(Standing):
@@ -80,7 +78,6 @@ class StandingWatch(Standing):
             water: How high the water stands.
         """
         super().__init__(Conditions(water=water))
-        self._turns: Turns | None = None
         self._warn_of = warn_of
         self._noticed: list[CameraTurn] = []
         self._model, self._correct = model, correct
@@ -112,18 +109,18 @@ class StandingWatch(Standing):
             if self._known == 0 and not _recognised(self._model, stances):
                 self._warn(_UNRECOGNISED)
             self._known = len(stances)
-            self._turns = self._model.turns(stances)
+            turns = self._model.turns(stances)
             if self._correct:
-                self._conditions = replace(self._conditions, turns=self._turns)
-            if turn is None and self._turns is not None:
-                self._warn_of_turn(self._turns.sentences()[0])
+                self._conditions = replace(self._conditions, turns=turns)
+            if turn is None and turns is not None:
+                self._warn_of_turn(turns.sentences()[0])
         if turn is not None:
             self._noticed.append(turn)
             self._warn_of_turn(turn_sentence(turn))
         return turn
 
     def _warn_of_turn(self, sentence: str) -> None:
-        made_up = self._correct and self._turns is not None
+        made_up = self._conditions.turns is not None
         after = "Positions are corrected." if made_up else "The model does not hold for it."
         self._warn(f"{sentence} {after}")
 
@@ -140,13 +137,9 @@ class StandingWatch(Standing):
         for boxes in batches:
             waiting.append(boxes)
             while waiting and _last_s(waiting[0]) <= self._watch.settled_utc_s:
-                yield self._levelled(waiting.popleft())
+                yield self._conditions.level(waiting.popleft())
         for boxes in waiting:
-            yield self._levelled(boxes)
-
-    def _levelled(self, boxes: Boxes) -> Boxes:
-        turns = self._conditions.turns
-        return boxes if turns is None else turns.level(boxes)
+            yield self._conditions.level(boxes)
 
 
 def recording_conditions(

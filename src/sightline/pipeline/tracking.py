@@ -28,7 +28,7 @@ from sightline.pipeline.boxes import (
 )
 from sightline.pipeline.conditions import Conditions
 from sightline.pipeline.standing import Standing, StandingWatch
-from sightline.platform import Platform, moved_positions, moved_track, north_up
+from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
@@ -299,7 +299,9 @@ def _forecast(
     conditions: Conditions,
 ) -> Track:
     """The forecast of a track from its last position on."""
-    state = states(boxes, model, platform, conditions, track_id=track.track_id)[-1:]
+    known = states(boxes, model, platform, conditions, track_id=track.track_id)
+    assert known is not None, "the track is of these boxes"
+    state = known[-1:]
     step = min(settings.forecast_interval_s, settings.forecast_s)
     lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
     return state.forecast(lags, track_id=track.track_id, label=track.label)
@@ -416,7 +418,7 @@ def states(
     *,
     motion: MotionModel | None = None,
     track_id: int = 0,
-) -> MotionState:
+) -> MotionState | None:
     """What was known of one target at each box with a place, by that and those before.
 
     A camera that moves was where its own log says by its fixes until then.
@@ -429,16 +431,20 @@ def states(
         motion: How targets move. Absent: as vessels do.
         track_id: For messages.
 
-    Raises:
-        InputError: No box has a place.
+    Returns:
+        None where no box has a place.
     """
     positions = conditions.locate(boxes, model)
     if platform is None:
+        if not positions.known.any():
+            return None
         return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
     motion = motion or MotionModel()
     motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
     pose = platform.pose(boxes.time_utc_s, model.plane, until_then=True)
-    positions = moved_positions(north_up(positions, pose), pose)
+    positions = on_earth(positions, pose)
+    if not positions.known.any():
+        return None
     followed = follow_motion(
         boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
     )

@@ -7,11 +7,10 @@ have. So targets are predicted in both planes, and a box must agree with both as
 tells something.
 
 The camera stands at the origin, or on a platform whose log tells where it was. It knows bearings
-well and ranges badly; what it measures is taken
-as the bearing and the *inverse* range, in which a pixel counts the same everywhere (an extended
-Kalman filter, Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and
-Navigation*, 2001, section 10.3): the noise is then that of the range predicted, and a range that
-was measured too short does not look precise.
+well and ranges badly; what it measures is taken as the bearing and the *inverse* range, in which a
+pixel counts the same everywhere (an extended Kalman filter, Bar-Shalom, Li and Kirubarajan,
+*Estimation with Applications to Tracking and Navigation*, 2001, section 10.3): the noise is then
+that of the range predicted, and a range that was measured too short does not look precise.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.platform import Platform, moved_positions, north_up
+from sightline.platform import Platform, on_earth
 from sightline.tracking.image import ImagePlane, ImageTrackerSettings
 from sightline.tracking.plane import Columns
 from sightline.tracking.targets import TargetTracker
@@ -95,7 +94,7 @@ class WorldPlane:
         eye = np.zeros((len(boxes), 2))
         if self._platform is not None:
             pose = self._platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
-            positions = moved_positions(north_up(positions, pose), pose)
+            positions = on_earth(positions, pose)
             eye = np.nan_to_num(pose.en_m)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)
