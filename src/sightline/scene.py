@@ -408,14 +408,11 @@ class Scene:
         Raises:
             InputError: It does in some recordings and not in others: these are two cameras.
         """
-        moving = [recording.platform_path is not None for recording in self.recordings]
-        if any(moving) and not all(moving):
-            name = self.recordings[moving.index(False)].name
-            raise InputError(
-                f"{self.path}: recording {name} has no platform, and others have; a camera that "
-                "moves and one that stands still are two scenes"
-            )
-        return any(moving)
+        return self._all_or_none(
+            [recording.platform_path is not None for recording in self.recordings],
+            "platform",
+            "a camera that moves and one that stands still are two scenes",
+        )
 
     @property
     def tidal(self) -> bool:
@@ -425,17 +422,23 @@ class Scene:
             InputError: Some do and some do not: then nobody knows what height that of the camera
                 is.
         """
-        told = [
-            recording.water_level_m is not None or recording.water_levels_path is not None
-            for recording in self.recordings
-        ]
-        if any(told) and not all(told):
-            name = self.recordings[told.index(False)].name
+        return self._all_or_none(
+            [
+                recording.water_level_m is not None or recording.water_levels_path is not None
+                for recording in self.recordings
+            ],
+            "water level",
+            "give water_level_m or water_levels to all recordings, or to none",
+        )
+
+    def _all_or_none(self, has: list[bool], what: str, mend: str) -> bool:
+        """Whether the recordings have something that all must have, or none."""
+        if any(has) and not all(has):
+            name = self.recordings[has.index(False)].name
             raise InputError(
-                f"{self.path}: recording {name} has no water level, and others have; give "
-                "water_level_m or water_levels to all recordings, or to none"
+                f"{self.path}: recording {name} has no {what}, and others have; {mend}"
             )
-        return any(told)
+        return any(has)
 
     @property
     def image_size_px(self) -> tuple[int, int]:

@@ -231,7 +231,7 @@ class AbsoluteError:
     """The absolute pose error of section 4.4, of positions (they have no orientation).
 
     Attributes:
-        n: ScoredPairs compared.
+        n: Pairs compared.
         rmse: Metres; NaN, as all others, where there is no pair.
         mse: Square metres.
         mean: Metres.
@@ -321,7 +321,7 @@ class RangeBin:
     Attributes:
         from_m: Metres, included.
         to_m: Metres, excluded; may be infinite.
-        n: ScoredPairs.
+        n: Pairs.
         rmse: Metres.
         median: Metres.
     """
