@@ -131,12 +131,12 @@ def draw_wash(
     light = float(rng.uniform(215.0, 300.0))
     colour = light * (np.array([1.0, 1.0, 0.96]) + rng.normal(0.0, 0.01, 3))
     share = opacity[used, :, None]
-    full = np.full((height, width, 3), colour[None, None, :], np.float32)
     # Foam is grey in its hollows.
-    hollows = 0.5 * _noise(rng, (width, height), max(3.0, 0.6 * hull.px_per_m))
-    hollows += 0.5 * _noise(rng, (width, height), max(1.5, 0.15 * hull.px_per_m))
-    full *= (1.0 - float(rng.uniform(0.1, 0.4)) * hollows)[..., None]
-    mixed = image[used] * (1.0 - share) + full[used] * share
+    hollows = 0.5 * _noise(rng, width, used, max(3.0, 0.6 * hull.px_per_m))
+    hollows += 0.5 * _noise(rng, width, used, max(1.5, 0.15 * hull.px_per_m))
+    light_left = (1.0 - float(rng.uniform(0.1, 0.4)) * hollows)[..., None]
+    foam = colour.astype(np.float32) * light_left
+    mixed = image[used] * (1.0 - share) + foam * share
     image[used] = np.clip(mixed, 0.0, 255.0).astype(np.uint8)
 
 
@@ -193,7 +193,7 @@ def _foam(
 def _raised(rng: np.random.Generator, opacity: _Map, px_per_m: float) -> _Map:
     """Foam has a height, ragged along its crest."""
     most = float(rng.uniform(0.05, 0.9)) * px_per_m
-    ragged = _noise(rng, (opacity.shape[1], 1), max(2.0, 0.35 * px_per_m))
+    ragged = _noise(rng, opacity.shape[1], slice(1), max(2.0, 0.35 * px_per_m))
     reach = most * (0.3 + 0.7 * ragged)
     raised = opacity.copy()
     for up in range(1, int(np.ceil(most)) + 1):
@@ -240,11 +240,11 @@ def _sampled(rng: np.random.Generator, behind_m: _Map, side_m: _Map, cell_m: flo
     return _looked_up(x, y)
 
 
-def _noise(rng: np.random.Generator, size_px: tuple[int, int], cell_px: float) -> _Map:
-    """(height, width) noise in the picture."""
+def _noise(rng: np.random.Generator, width: int, rows: slice, cell_px: float) -> _Map:
+    """(rows, width) noise in some rows of the picture."""
     start = rng.uniform(0.0, _TEXELS, 2)
-    x = (np.arange(size_px[0]) * _TEXELS_A_CELL / cell_px + start[0]) % _TEXELS
-    y = (np.arange(size_px[1]) * _TEXELS_A_CELL / cell_px + start[1]) % _TEXELS
+    x = (np.arange(width) * _TEXELS_A_CELL / cell_px + start[0]) % _TEXELS
+    y = (np.arange(rows.start or 0, rows.stop) * _TEXELS_A_CELL / cell_px + start[1]) % _TEXELS
     return _looked_up(*np.meshgrid(x, y))
 
 
