@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.formats import write_boxes, write_fixes
-from sightline.inference.georeferencer import Georeferencer, fit
+from sightline.georeferencing.georeferencer import Georeferencer, fit
 from sightline.scene import Scene
 from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
 from sightline.simulation.harbour import Pile

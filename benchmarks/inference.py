@@ -32,9 +32,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sightline.inference.camera_model import CameraRegressor
-from sightline.inference.georeferencer import Georeferencer, fit_pairs
-from sightline.inference.pairs import Pairs, scene_pairs
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.correspondences import Pairs, scene_pairs
+from sightline.georeferencing.georeferencer import Georeferencer, fit_pairs
 from sightline.scene import Scene
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import BoxNoise, Harbour

@@ -31,15 +31,15 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.camera.stabilisation import scene_horizons
 from sightline.evaluation.forecast import ForecastPairs, pair_forecasts
 from sightline.evaluation.metrics import ScoredPairs, absolute_error, coverage, pair_track
 from sightline.evaluation.tracking import score_tracking
 from sightline.formats import read_boxes
-from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer, fit
-from sightline.inference.levelling import scene_horizons
-from sightline.pipeline import Placed, leave_one_out, place_boxes
-from sightline.pipeline.boxes import moments
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL, Georeferencer, fit
 from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes
+from sightline.pipeline.sources import moments
 from sightline.scene import Recording, Scene
 from sightline.simulation import Simulation, simulate
 from sightline.simulation.harbour import ReceiverNoise

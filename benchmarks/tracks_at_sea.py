@@ -16,9 +16,9 @@ import numpy as np
 from _recordings import challenge_scene
 
 from sightline.evaluation.report import Report
-from sightline.inference.georeferencer import MODELS, fit
-from sightline.inference.pairs import scene_pairs
-from sightline.pipeline import compare, place_boxes, score
+from sightline.georeferencing.correspondences import scene_pairs
+from sightline.georeferencing.georeferencer import MODELS, fit
+from sightline.pipeline.evaluate import compare, place_boxes, score
 from sightline.scene import Scene
 
 NEAR_M = 130.0

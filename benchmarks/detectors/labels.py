@@ -23,6 +23,7 @@ import numpy as np
 from measure import DATA, DRAWN, TEST
 
 from sightline import fit
+from sightline.atomic import atomic_path
 from sightline.detection import DetectorOptions, OnnxDetector
 from sightline.evaluation.detection import (
     JudgedFrame,
@@ -31,7 +32,6 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
-from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels as Known
 from sightline.formats.labels import Margin, read_label_folder, write_labels
 from sightline.labelling import learn_size, propose

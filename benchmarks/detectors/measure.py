@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from sightline.atomic import atomic_path
 from sightline.detection import DetectorOptions, OnnxDetector, ViewSettings, detector_by_name
 from sightline.evaluation.detection import (
     detect_labelled,
@@ -29,7 +30,6 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
-from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Margin
 from sightline.scene import Scene
 from sightline.types import Boxes, Frame

@@ -887,7 +887,7 @@ def test_a_bug_leaves_no_folder_of_results(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("sightline.reporting.run_page", fail)
+    monkeypatch.setattr("sightline.reporting.run_report.run_page", fail)
     with pytest.raises(RuntimeError, match="a bug"):
         sightline("run", harbour / "scene.toml", "-o", tmp_path / "a" / "b", "--model", "qkr")
     assert not (tmp_path / "a").exists()

@@ -11,11 +11,11 @@ from sightline.cli.common import keep_apart, progress, say, stdout
 from sightline.cli.options import JsonOption, SceneArgument, SeedOption
 from sightline.cli.parsing import parse_names
 from sightline.evaluation.comparison import overview_table, paper_table
-from sightline.evaluation.page import write_page
-from sightline.evaluation.plots import MapPanel, map_figure, save_figure
-from sightline.inference.georeferencer import MODELS
-from sightline.pipeline import compare as compare_models
-from sightline.reporting import compare_page, single_pairs
+from sightline.georeferencing.georeferencer import MODELS
+from sightline.pipeline.evaluate import compare as compare_models
+from sightline.reporting.page import write_page
+from sightline.reporting.plots import MapPanel, map_figure, save_figure
+from sightline.reporting.run_report import compare_page, single_pairs
 from sightline.scene import Scene
 
 

@@ -15,8 +15,8 @@ from sightline.cli.common import (
 )
 from sightline.cli.options import JsonOption, SeedOption
 from sightline.cli.run import result_dict, tell_result
-from sightline.pipeline import run as run_scene
-from sightline.reporting import write_run
+from sightline.pipeline.run import run as run_scene
+from sightline.reporting.run_report import write_run
 from sightline.scene import Scene
 from sightline.simulation.simulate import simulate as simulate_harbour
 

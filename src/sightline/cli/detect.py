@@ -31,10 +31,10 @@ from sightline.cli.options import (
 from sightline.cli.parsing import parse_time
 from sightline.detection import DEFAULT_DETECTOR, frame_count
 from sightline.detection import detect as detected
-from sightline.detection.looking import same_size
+from sightline.detection.run import same_size
 from sightline.errors import InputError
-from sightline.inference.model_file import load_model
-from sightline.pipeline.boxes import is_table, make_detector
+from sightline.georeferencing.model_file import load_model
+from sightline.pipeline.sources import is_table, make_detector
 
 
 def detect(

@@ -10,9 +10,9 @@ import typer
 from sightline.cli.common import describe, describe_forecast, keep_apart, say
 from sightline.cli.options import JsonOption
 from sightline.errors import InputError
-from sightline.inference.model_file import load_model
-from sightline.pipeline import DEFAULT_TRAJECTORY
-from sightline.pipeline import evaluate as evaluate_any
+from sightline.georeferencing.model_file import load_model
+from sightline.pipeline.evaluate import evaluate as evaluate_any
+from sightline.pipeline.track import DEFAULT_TRAJECTORY
 from sightline.scene import Scene
 from sightline.tracks import Tracks
 

@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from sightline.association import fit_scene, update_scene
 from sightline.association.associate import LARGEST_OFFSET_S
 from sightline.cli.common import (
     keep_apart,
@@ -23,8 +22,9 @@ from sightline.cli.options import (
     SeedOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
-from sightline.inference.georeferencer import DEFAULT_MODEL
-from sightline.inference.model_file import load_model
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL
+from sightline.georeferencing.model_file import load_model
+from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
 from sightline.scene import Scene
 
 

@@ -25,10 +25,11 @@ from sightline.cli.options import (
     TrajectoryOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
-from sightline.inference.georeferencer import DEFAULT_MODEL
-from sightline.pipeline import DEFAULT_TRAJECTORY, RunResult, TrackSettings
-from sightline.pipeline import run as run_scene
-from sightline.reporting import write_run
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL
+from sightline.pipeline.run import RunResult
+from sightline.pipeline.run import run as run_scene
+from sightline.pipeline.track import DEFAULT_TRAJECTORY, TrackSettings
+from sightline.reporting.run_report import write_run
 from sightline.scene import Scene
 
 

@@ -28,8 +28,8 @@ from sightline.cli.options import (
 from sightline.cli.parsing import parse_time, parse_water_level
 from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
-from sightline.inference.model_file import load_model
-from sightline.pipeline import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
+from sightline.georeferencing.model_file import load_model
+from sightline.pipeline.track import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
 from sightline.types import Track
 
 

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
-from sightline.detection.horizon import HorizonFinder
 from sightline.detection.letterbox import Letterbox
 from sightline.detection.metadata import (
     InputFormat,
@@ -22,7 +22,7 @@ from sightline.detection.metadata import (
     read_metadata,
     ultralytics_names,
 )
-from sightline.detection.views import (
+from sightline.detection.tiling import (
     Horizon,
     View,
     ViewSettings,

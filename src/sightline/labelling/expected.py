@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
+from sightline.camera.pinhole import PARAMETERS, project_with_jacobian
 from sightline.errors import InputError
-from sightline.inference.camera import PARAMETERS, project_with_jacobian
-from sightline.inference.camera_model import CameraRegressor
-from sightline.inference.georeferencer import Georeferencer
-from sightline.inference.pairs import scene_pairs
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.correspondences import scene_pairs
+from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording, Scene
 from sightline.synchronisation import LARGEST_GAP_S, Synchronised, synchronise
 from sightline.types import BoolArray, FloatArray

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sightline.inference.georeferencer import Georeferencer
-from sightline.inference.turning import Turns
+from sightline.camera.rotation import Turns
+from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.types import Boxes, Positions
 from sightline.water import WaterLevels
 

@@ -19,8 +19,8 @@ import gpxpy.gpx
 import numpy as np
 from pyais import encode_dict
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError, unknown_name
-from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.simulation.boats import Boat

@@ -23,6 +23,7 @@ import onnxruntime
 import torch
 from matplotlib.figure import Figure
 
+from sightline.atomic import atomic_path
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.errors import InputError, SightlineError, unknown_name
 from sightline.evaluation.comparison import number
@@ -34,7 +35,6 @@ from sightline.evaluation.detection import (
     score_detections,
 )
 from sightline.evaluation.report import write_json
-from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels
 from sightline.scene import Recording, Scene
 from sightline.training.architecture import ARCHITECTURES, build

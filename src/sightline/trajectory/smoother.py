@@ -34,9 +34,9 @@ from scipy.special import chdtri
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
-from sightline.trajectory import chain
+from sightline.trajectory import gauss_markov_chain as chain
 from sightline.trajectory.base import Measurements, measurements, point_kinds
-from sightline.trajectory.sight import (
+from sightline.trajectory.range_noise import (
     Linearised,
     NoiseAtRange,
     RobustStart,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from sightline import _optional
 from sightline.cli.common import (
     keep_apart,
     progress,
@@ -37,7 +38,6 @@ from sightline.cli.parsing import (
     parse_pair,
     parse_size_px,
 )
-from sightline.formats import _extras
 from sightline.scene import Scene
 from sightline.training.architecture import ARCHITECTURES
 
@@ -90,7 +90,7 @@ def compare(
     json: JsonOption = None,
 ) -> None:
     """Train detectors alike and measure them on recordings that none has seen."""
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     # Late: without torch the other commands must work.
     from sightline.training.augmentation import Augmentation
     from sightline.training.comparison import (

@@ -39,8 +39,8 @@ from sightline.evaluation.detection import (
     score_detections,
 )
 from sightline.formats.labels import parse_margins
-from sightline.inference.model_file import load_model
-from sightline.pipeline.boxes import make_detector
+from sightline.georeferencing.model_file import load_model
+from sightline.pipeline.sources import make_detector
 from sightline.scene import Scene
 
 _LOWEST = 0.001

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
+from sightline import _optional
 from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.options import JsonOption
 from sightline.cli.parsing import parse_known_names, parse_size_px
 from sightline.errors import InputError
-from sightline.formats import _extras
 from sightline.training.architecture import Trainable
 from sightline.training.darknet.cfg import PUBLISHED
 
@@ -67,7 +67,7 @@ def export(
     json: JsonOption = None,
 ) -> None:
     """Write a detector as an ONNX file, and check that file against the network."""
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     # Late: without torch the other commands must work.
     from sightline.training.export import export_onnx
     from sightline.training.trained import load_darknet, load_mean

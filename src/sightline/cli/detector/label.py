@@ -9,14 +9,14 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from sightline.atomic import atomic_path
 from sightline.cli.common import folder_for_results, keep_apart, progress, say
 from sightline.cli.common import write_result as write_json_result
 from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
 from sightline.cli.parsing import parse_names
 from sightline.errors import InputError
-from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels, write_labels
-from sightline.inference.model_file import load_model
+from sightline.georeferencing.model_file import load_model
 from sightline.labelling import DEFAULT_LABEL, Proposals, contact_sheets, learn_size, propose
 from sightline.scene import Recording, Scene
 

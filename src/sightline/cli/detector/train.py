@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from sightline import _optional
 from sightline.cli.common import (
     keep_apart,
     progress,
@@ -36,7 +37,6 @@ from sightline.cli.parsing import (
     parse_size_px,
 )
 from sightline.errors import unknown_name
-from sightline.formats import _extras
 from sightline.scene import Scene
 from sightline.training.architecture import ARCHITECTURES
 
@@ -128,7 +128,7 @@ def train(
     """Train a detector on the boxes of a scene, and export it to ONNX."""
     if arch not in ARCHITECTURES:
         raise unknown_name("architecture", arch, ARCHITECTURES)
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     # Both are imported late: without torch the other commands must work.
     from sightline.training.augmentation import Augmentation
     from sightline.training.data import Labels, parse_margins
