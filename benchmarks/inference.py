@@ -33,9 +33,11 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs, scene_pairs
-from sightline.georeferencing.georeferencer import Georeferencer, fit_pairs
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.fit import fit_pairs
 from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import BoxNoise, Harbour
 from sightline.simulation.simulate import simulate

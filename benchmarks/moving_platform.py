@@ -31,16 +31,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.camera.stabilisation import scene_horizons
 from sightline.evaluation.forecast import ForecastPairs, pair_forecasts
 from sightline.evaluation.metrics import ScoredPairs, absolute_error, coverage, pair_track
 from sightline.evaluation.tracking import score_tracking
 from sightline.formats import read_boxes
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL, Georeferencer, fit
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL, Georeferencer
 from sightline.pipeline.conditions import Conditions
 from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes
+from sightline.pipeline.fit import fit
 from sightline.pipeline.sources import moments
 from sightline.scene import Recording, Scene
+from sightline.scene.camera_state import scene_horizons
 from sightline.simulation import Simulation, simulate
 from sightline.simulation.harbour import ReceiverNoise
 from sightline.tracking import ImageTracker, Tracker, WorldTracker

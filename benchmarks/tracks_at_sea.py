@@ -16,10 +16,11 @@ import numpy as np
 from _recordings import challenge_scene
 
 from sightline.evaluation.report import Report
-from sightline.georeferencing.correspondences import scene_pairs
-from sightline.georeferencing.georeferencer import MODELS, fit
+from sightline.georeferencing.georeferencer import MODELS
 from sightline.pipeline.evaluate import compare, place_boxes, score
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
 
 NEAR_M = 130.0
 

@@ -9,7 +9,8 @@ import hypothesis
 import pytest
 
 from sightline.formats import write_boxes, write_fixes
-from sightline.georeferencing.georeferencer import Georeferencer, fit
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
 

@@ -15,7 +15,7 @@ from sightline.errors import FitError, InputError, ModelFileError, SightlineErro
 
 if TYPE_CHECKING:
     from sightline.georeferencing.georeferencer import MODELS, Georeferencer
-    from sightline.georeferencing.model_file import load_model as load
+    from sightline.georeferencing.georeferencer import load_model as load
     from sightline.pipeline.evaluate import compare, evaluate
     from sightline.pipeline.fit_unlabelled import fit_scene as fit
     from sightline.pipeline.run import run
@@ -31,7 +31,7 @@ _LATER = {
     "fit": "sightline.pipeline.fit_unlabelled:fit_scene",
     "MODELS": "sightline.georeferencing.georeferencer",
     "Georeferencer": "sightline.georeferencing.georeferencer",
-    "load": "sightline.georeferencing.model_file:load_model",
+    "load": "sightline.georeferencing.georeferencer:load_model",
     "compare": "sightline.pipeline.evaluate",
     "evaluate": "sightline.pipeline.evaluate",
     "iter_tracks": "sightline.pipeline.track",

@@ -565,3 +565,27 @@ def ellipses(covariance_m2: FloatArray, probability: float = 0.95) -> Ellipses:
         semi_minor_m=np.where(known, axes[:, 0], np.nan),
         bearing_deg=np.where(known, bearing, np.nan),
     )
+
+
+def check_inside(boxes: Boxes, size_px: tuple[int, int], where: str = "") -> None:
+    """Refuse boxes that have nothing to do with a picture.
+
+    Args:
+        boxes: The boxes.
+        size_px: Width and height of the picture.
+        where: Begins the message: the file.
+
+    Raises:
+        InputError: A box lies wholly outside the picture; names the first.
+    """
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    outside = (x2 <= 0.0) | (y2 <= 0.0) | (x1 >= size_px[0]) | (y1 >= size_px[1])
+    if outside.any():
+        i = int(np.argmax(outside))
+        box = ",".join(f"{value:g}" for value in boxes.xyxy_px[i])
+        known = boxes.frame[i] != NO_FRAME
+        name = f"the box of frame {boxes.frame[i]}" if known else f"box {i + 1}"
+        raise InputError(
+            f"{where}{name} ({box}) lies wholly outside the picture of {size_px[0]} x "
+            f"{size_px[1]} px; was it drawn in a picture of another size?"
+        )

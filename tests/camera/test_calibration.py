@@ -6,16 +6,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sightline.camera.calibration import (
-    FIRST_SOURCE,
-    CameraFit,
-    CameraPrior,
-    PixelNoise,
-    Sightings,
-    SourceBelief,
-    fit_camera,
-)
+from sightline.camera.calibration import CameraFit, fit_camera
+from sightline.camera.observations import Sightings
 from sightline.camera.pinhole import PARAMETERS, Camera
+from sightline.camera.priors import FIRST_SOURCE, CameraPrior, PixelNoise, SourceBelief
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.types import FloatArray

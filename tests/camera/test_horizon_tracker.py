@@ -8,7 +8,7 @@ import pytest
 
 from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection.tiling import ViewSettings
-from sightline.georeferencing.georeferencer import fit
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation import Harbour, Renderer
 

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import sightline
 from sightline import Georeferencer, Scene
-from sightline.camera.motion import CameraMotionWatch, View
+from sightline.camera.motion import CameraMotionWatch
 from sightline.camera.pinhole import Camera
+from sightline.camera.registration import View
 from sightline.camera.rotation import Turns, seen_again
 from sightline.camera.static_intervals import StanceWatch
 from sightline.errors import InputError, ModelFileError

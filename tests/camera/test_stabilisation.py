@@ -10,12 +10,13 @@ import pytest
 import sightline
 from sightline.camera.horizon_line import find_waterline
 from sightline.camera.pinhole import Camera
-from sightline.camera.stabilisation import level, scene_horizons
+from sightline.camera.stabilisation import level
 from sightline.cli import main
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.pipeline.evaluate import leave_one_out, place_boxes, score, with_forecasts
+from sightline.scene.camera_state import scene_horizons
 from sightline.simulation import Harbour, simulate
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway

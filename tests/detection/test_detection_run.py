@@ -12,8 +12,9 @@ import pytest
 
 from sightline import video
 from sightline.camera.shoreline import StillPicture
-from sightline.detection import MotionDetector, SceneDetections, detect, shown
+from sightline.detection import MotionDetector, detect, shown
 from sightline.scene import Scene
+from sightline.scene.detections import SceneDetections
 from sightline.types import Boxes, Frame
 
 SIZE_PX = (320, 240)

@@ -8,7 +8,7 @@ import pytest
 import sightline
 from sightline import Georeferencer, Scene
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.georeferencer import fit
+from sightline.pipeline.fit import fit
 from sightline.types import Boxes
 
 

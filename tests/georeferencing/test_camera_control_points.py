@@ -9,9 +9,10 @@ import pytest
 from pyproj import Transformer
 from scipy.stats import chi2
 
-from sightline.camera.calibration import PixelNoise
+from sightline.camera.priors import PixelNoise
 from sightline.formats.control_points import read_control_points
-from sightline.georeferencing.georeferencer import Georeferencer, fit
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.types import ControlPoints
 

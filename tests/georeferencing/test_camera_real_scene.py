@@ -9,9 +9,10 @@ from sightline.camera.calibration import CameraFit
 from sightline.camera.pinhole import PARAMETERS
 from sightline.evaluation.comparison import Comparison
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs, scene_pairs
+from sightline.georeferencing.correspondences import Pairs
 from sightline.pipeline.evaluate import compare
 from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,11 @@ import pytest
 import sightline
 from sightline.errors import FitError, InputError
 from sightline.formats import write_fixes
-from sightline.georeferencing.correspondences import Pairs, scene_pairs
-from sightline.georeferencing.georeferencer import Georeferencer, fit_pairs
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.fit import fit_pairs
 from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
 from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
 
 MODELS_OF_CAMERAS = ("camera", "camera+gpr")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.georeferencing.correspondences import Pairs
-from sightline.georeferencing.georeferencer import fit_pairs
 from sightline.georeferencing.recalibration import moved_since
+from sightline.pipeline.fit import fit_pairs
 from sightline.scene import CameraSite, Scene
 from sightline.simulation import BoxNoise, Harbour
 from sightline.types import ControlPoints

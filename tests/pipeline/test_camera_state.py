@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from sightline import Georeferencer, Scene, fit
-from sightline.camera.motion import Stance, View
+from sightline.camera.motion import Stance
 from sightline.camera.pinhole import Camera
+from sightline.camera.registration import View
 from sightline.camera.rotation import Turns
 from sightline.camera.static_intervals import StanceWatch
 from sightline.formats import read_clock

@@ -12,7 +12,8 @@ import pytest
 from sightline.errors import InputError
 from sightline.formats import read_boxes
 from sightline.geodesy import LocalPlane
-from sightline.scene import Scene, check_overlap
+from sightline.scene import Scene
+from sightline.synchronisation import check_overlap
 from sightline.types import Fixes, Frame
 from sightline.video import write_video
 

@@ -9,12 +9,7 @@ import pytest
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
-from sightline.tracking import (
-    ImageTracker,
-    TargetTracker,
-    WorldTracker,
-    WorldTrackerSettings,
-)
+from sightline.tracking import ImageTracker, TargetTracker, WorldTracker, WorldTrackerSettings
 from sightline.types import Boxes, Fixes, FloatArray, Headings, Positions
 
 HEIGHT_M, FOCAL_PX, HORIZON_PX, CENTRE_PX = 6.0, 1000.0, 200.0, 640.0

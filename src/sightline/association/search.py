@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sightline.association.observations import Observations
-from sightline.camera.calibration import CameraPrior
+from sightline.camera.priors import CameraPrior
 from sightline.logged_path import LoggedPath
 from sightline.types import FloatArray, IntArray
 

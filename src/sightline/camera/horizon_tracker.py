@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.camera.horizon_line import find_waterline
+from sightline.types import Frame, Horizons
 
 _EAGER_FRAMES = 16
 
@@ -50,3 +51,21 @@ class HorizonFinder:
                 left, right = np.median(np.array(self._rows), axis=0)
                 self._horizon = (float(left), float(right))
         return self._horizon
+
+
+class HorizonWatch:
+    """Looks for the horizon in frames, one after another.
+
+    Attributes:
+        seen: Of the last frame looked at; without a row where none was found in it.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a frame."""
+        self.seen = Horizons(np.empty(0), np.empty(0), np.empty(0))
+
+    def look(self, frame: Frame) -> None:
+        """Look at the next frame."""
+        line = find_waterline(frame.image_bgr)
+        rows = np.array([] if line is None else [[frame.time_utc_s, *line]]).reshape(-1, 3)
+        self.seen = Horizons(*rows[np.isfinite(rows).all(axis=1)].T)

@@ -17,11 +17,10 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sightline.camera.motion import Displacement, Stance, View, displacement
+from sightline.camera.motion import Stance
 from sightline.camera.pinhole import Camera
-from sightline.camera.static_intervals import least_turn_deg, recording_stances
-from sightline.detection.run import Progress
-from sightline.scene import Scene
+from sightline.camera.registration import Displacement, View, displacement
+from sightline.camera.static_intervals import least_turn_deg
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Positions, rfc3339
 
 _LEAST_SIGMAS = 4.0
@@ -305,24 +304,6 @@ def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatA
         [(off(turn + step * axis) - off(turn - step * axis)) / (2.0 * step) for axis in np.eye(3)],
         axis=1,
     )
-
-
-def scene_stances(scene: Scene, progress: Progress | None = None) -> dict[str, tuple[Stance, ...]]:
-    """`recording_stances` of all recordings of a scene in which it is asked for.
-
-    Args:
-        scene: Its recordings' pictures.
-        progress: Told what is being looked at: a long video takes long.
-    """
-    if scene.moves or not scene.camera.watched:
-        return {}
-    found = {}
-    for i, recording in enumerate(scene.recordings):
-        if progress is not None:
-            what = f"looking at the pictures of {recording.name}"
-            progress(what, i / len(scene.recordings))
-        found[recording.name] = recording_stances(recording)
-    return {name: stances for name, stances in found.items() if stances}
 
 
 def reference_view(stances: Mapping[str, Sequence[Stance]]) -> View | None:

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.shoreline import WaterEdge
-from sightline.georeferencing.correspondences import Landmarks
 from sightline.types import FloatArray
 
 _POINTS = 5

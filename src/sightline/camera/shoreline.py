@@ -14,10 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.scene import Recording
 from sightline.types import FloatArray, Frame
 
-_EVERY_OF_VIDEO = 25
 _COLUMN_PX = 8
 _BLUR_PX = 0.5
 # The land's height in the picture that is compared with as much water below it.
@@ -56,12 +54,6 @@ class StillPicture:
         self._every, self._most = every, most
         self._passed = 0
         self._grey: list[NDArray[np.uint8]] = []
-
-    @classmethod
-    def of(cls, recording: Recording) -> StillPicture:
-        """To be shown the pictures of a recording, from the first one on."""
-        # A folder holds pictures that somebody chose; in a video neighbours show the same waves.
-        return cls(every=1 if recording.frames_path is not None else _EVERY_OF_VIDEO)
 
     @property
     def seen_enough(self) -> bool:

@@ -8,15 +8,11 @@ as its foot is. Turns about the vertical do not show in the horizon: those are t
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
-from sightline.camera.calibration import CameraPrior
-from sightline.camera.horizon_line import find_waterline
 from sightline.camera.pinhole import Camera
-from sightline.scene import Recording
-from sightline.types import BoolArray, Boxes, FloatArray, Frame, Horizons
+from sightline.camera.priors import CameraPrior
+from sightline.types import BoolArray, Boxes, FloatArray, Horizons
 
 LONGEST_S = 0.5
 """Between horizons further apart than this nothing is assumed: swell has periods of seconds."""
@@ -56,54 +52,6 @@ def level(
     shift = (moved - foot)[usable]
     kept = boxes[usable]
     return kept.with_columns(xyxy_px=kept.xyxy_px + np.tile(shift, 2)), usable
-
-
-def scene_horizons(recording: Recording) -> Horizons | None:
-    """Where the horizon lies in a recording: as its table says, or as its pictures show.
-
-    Pictures are only looked at where the camera stands on a platform that moves.
-
-    Raises:
-        InputError: A file of the recording cannot be used.
-    """
-    told = recording.horizons()
-    if told is not None or recording.platform_path is None or recording.source is None:
-        return told
-    return _in_pictures(recording, recording.source.stat().st_mtime_ns)
-
-
-# Leaving one recording out at a time asks again and again, and a look at every picture takes long.
-@lru_cache(maxsize=32)
-def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
-    watch = HorizonWatch()
-    found = []
-    for frame in recording.frames():
-        watch.look(frame)
-        found.append(watch.seen)
-    return Horizons(
-        *(
-            np.concatenate([getattr(one, name) for one in found])
-            for name in ("time_utc_s", "left_y_px", "right_y_px")
-        )
-    )
-
-
-class HorizonWatch:
-    """Looks for the horizon in frames, one after another.
-
-    Attributes:
-        seen: Of the last frame looked at; without a row where none was found in it.
-    """
-
-    def __init__(self) -> None:
-        """Begin without a frame."""
-        self.seen = Horizons(np.empty(0), np.empty(0), np.empty(0))
-
-    def look(self, frame: Frame) -> None:
-        """Look at the next frame."""
-        line = find_waterline(frame.image_bgr)
-        rows = np.array([] if line is None else [[frame.time_utc_s, *line]]).reshape(-1, 3)
-        self.seen = Horizons(*rows[np.isfinite(rows).all(axis=1)].T)
 
 
 def nominal_camera(image_size_px: tuple[int, int]) -> Camera:

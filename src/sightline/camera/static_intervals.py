@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 
 from sightline.camera.motion import CameraMotionWatch, Stance
-from sightline.errors import InputError
-from sightline.scene import Recording
 from sightline.types import Frame
-
-_logger = logging.getLogger(__name__)
 
 LOOKS_APART_S = 1.0
 """One picture in so long is looked at."""
@@ -23,7 +17,6 @@ LEAST_PX = 0.8
 """Phase correlation is sure to a tenth of a pixel; turns that move less than this are none."""
 
 _NOMINAL_FOCAL_WIDTHS = 0.8
-_MOST_REMEMBERED = 128
 
 
 def least_turn_deg(focal_px: float) -> float:
@@ -66,48 +59,3 @@ class StanceWatch:
             return
         self._next_s = frame.time_utc_s + LOOKS_APART_S
         self._watch.update(frame)
-
-
-# Leaving one recording out at a time asks again and again, and to look at pictures takes long.
-_remembered: dict[tuple[Recording, int], tuple[Stance, ...]] = {}
-
-
-def recording_stances(recording: Recording) -> tuple[Stance, ...]:
-    """How the camera stood in a recording, by its pictures; none where there are no pictures.
-
-    Where they cannot be read, a warning says so: boxes that somebody drew do without them.
-    """
-    if recording.source is None or recording.platform_path is not None:
-        return ()
-    if not stances_known(recording):
-        watch = StanceWatch()
-        try:
-            for frame in recording.frames(apart_s=LOOKS_APART_S):
-                watch.look(frame)
-        except InputError as error:
-            _logger.warning("nobody can tell whether the camera was turned: %s", error)
-            watch = StanceWatch()
-        remember_stances(recording, watch.stances)
-    return _remembered[_key(recording)]
-
-
-def stances_known(recording: Recording) -> bool:
-    """Whether the pictures of a recording were looked at before."""
-    return _key(recording) in _remembered
-
-
-def remember_stances(recording: Recording, stances: tuple[Stance, ...]) -> None:
-    """Spare `recording_stances` the look at pictures that a `StanceWatch` was shown.
-
-    Args:
-        recording: With pictures.
-        stances: What came of them.
-    """
-    while len(_remembered) >= _MOST_REMEMBERED:
-        del _remembered[next(iter(_remembered))]
-    _remembered[_key(recording)] = stances
-
-
-def _key(recording: Recording) -> tuple[Recording, int]:
-    assert recording.source is not None, "the caller has looked"
-    return recording, recording.source.stat().st_mtime_ns

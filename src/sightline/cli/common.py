@@ -15,11 +15,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from sightline.detection import Progress as Tell
 from sightline.errors import InputError
 from sightline.evaluation.comparison import number, percent
 from sightline.evaluation.forecast import ForecastError
 from sightline.evaluation.report import Report, write_json
+from sightline.progress import Progress as Tell
 
 
 class _Console(Console):

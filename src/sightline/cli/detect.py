@@ -9,12 +9,7 @@ from typing import Annotated
 import typer
 
 from sightline import formats, video
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.options import (
     ClassesOption,
     ClockOption,
@@ -29,12 +24,13 @@ from sightline.cli.options import (
     detector_options,
 )
 from sightline.cli.parsing import parse_time
-from sightline.detection import DEFAULT_DETECTOR, frame_count
+from sightline.detection import DEFAULT_DETECTOR
 from sightline.detection import detect as detected
 from sightline.detection.run import same_size
 from sightline.errors import InputError
-from sightline.georeferencing.model_file import load_model
+from sightline.georeferencing.georeferencer import load_model
 from sightline.pipeline.sources import is_table, make_detector
+from sightline.video.reader import frame_count
 
 
 def detect(

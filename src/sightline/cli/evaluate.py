@@ -10,7 +10,7 @@ import typer
 from sightline.cli.common import describe, describe_forecast, keep_apart, say
 from sightline.cli.options import JsonOption
 from sightline.errors import InputError
-from sightline.georeferencing.model_file import load_model
+from sightline.georeferencing.georeferencer import load_model
 from sightline.pipeline.evaluate import evaluate as evaluate_any
 from sightline.pipeline.track import DEFAULT_TRAJECTORY
 from sightline.scene import Scene

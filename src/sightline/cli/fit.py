@@ -8,12 +8,7 @@ from typing import Annotated
 import typer
 
 from sightline.association.associate import LARGEST_OFFSET_S
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.options import (
     DetectorOption,
     JsonOption,
@@ -22,8 +17,7 @@ from sightline.cli.options import (
     SeedOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL
-from sightline.georeferencing.model_file import load_model
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL, load_model
 from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
 from sightline.scene import Scene
 

@@ -11,12 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from sightline import formats
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.options import (
     ClockOption,
     DetectorOption,
@@ -28,7 +23,7 @@ from sightline.cli.options import (
 from sightline.cli.parsing import parse_time, parse_water_level
 from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
-from sightline.georeferencing.model_file import load_model
+from sightline.georeferencing.georeferencer import load_model
 from sightline.pipeline.track import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
 from sightline.types import Track
 

@@ -10,15 +10,7 @@ from sightline.detection.registry import (
     check_detector_name,
     detector_by_name,
 )
-from sightline.detection.run import (
-    Looker,
-    Progress,
-    SceneDetections,
-    detect,
-    frame_count,
-    lower_edges_of,
-    shown,
-)
+from sightline.detection.run import Looker, detect, shown
 from sightline.detection.tiling import VIEWS, View, ViewSettings
 
 __all__ = [
@@ -32,14 +24,10 @@ __all__ = [
     "MotionDetector",
     "MotionSettings",
     "OnnxDetector",
-    "Progress",
-    "SceneDetections",
     "View",
     "ViewSettings",
     "check_detector_name",
     "detect",
     "detector_by_name",
-    "frame_count",
-    "lower_edges_of",
     "shown",
 ]

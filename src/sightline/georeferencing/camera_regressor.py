@@ -12,19 +12,9 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from sightline.camera.calibration import (
-    ANY_ASPECT,
-    FIRST_SOURCE,
-    NO_SOURCE,
-    SOURCE_PARAMETERS,
-    CameraFit,
-    CameraPrior,
-    PixelNoise,
-    Sightings,
-    SourceBelief,
-    fit_camera,
-)
+from sightline.camera.calibration import CameraFit, fit_camera
 from sightline.camera.correlated_noise import LogError
+from sightline.camera.observations import NO_SOURCE, Sightings
 from sightline.camera.pinhole import (
     BY_ABOVE,
     BY_COLUMN,
@@ -32,6 +22,14 @@ from sightline.camera.pinhole import (
     PARAMETERS,
     Camera,
     locate_with_jacobian,
+)
+from sightline.camera.priors import (
+    ANY_ASPECT,
+    FIRST_SOURCE,
+    SOURCE_PARAMETERS,
+    CameraPrior,
+    PixelNoise,
+    SourceBelief,
 )
 from sightline.errors import FitError, InputError
 from sightline.georeferencing.one_box import place_one
@@ -542,19 +540,25 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                     arrays[f"{key}.direction"] = process.log_error.direction
                     arrays[f"{key}.log"] = process.log_error.log
                 settings[key] = {
-                    "hyperparameters": list(process.hyperparameters.to_log()),
+                    "hyperparameters": process.hyperparameters.to_list(),
                     "length_scales": list(process.length_scales),
                 }
         return arrays, settings
 
     @classmethod
-    def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
+    def from_state(cls, arrays: Arrays, settings: Settings, *, logarithms: bool = False) -> Self:
         """The model that `state` described.
+
+        Args:
+            arrays: Of `state`.
+            settings: Of `state`.
+            logarithms: Whether hyperparameters are kept as logarithms, as release 0.1 did.
 
         Raises:
             LookupError: A part is missing.
             ValueError: A part does not fit the others.
         """
+        hyperparameters = Hyperparameters.from_log if logarithms else Hyperparameters.from_list
         prior = settings["prior"]
         if prior is not None:
             pairs = {k: tuple(v) for k, v in prior.items() if isinstance(v, list)}
@@ -599,9 +603,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 np.array(arrays[f"{key}.noise"], dtype=np.float64),
                 np.array(arrays[f"{key}.group"], dtype=np.int64),
                 length_scales=tuple(settings[key]["length_scales"]),
-                hyperparameters=Hyperparameters.from_log(
-                    np.array(settings[key]["hyperparameters"], dtype=np.float64)
-                ),
+                hyperparameters=hyperparameters(settings[key]["hyperparameters"]),
                 log_error=LogError(
                     np.array(arrays[f"{key}.time"], dtype=np.float64),
                     np.array(arrays[f"{key}.direction"], dtype=np.float64),

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.camera.calibration import CameraPrior
 from sightline.camera.motion import Stance
 from sightline.camera.pinhole import project_with_jacobian
+from sightline.camera.priors import CameraPrior
 from sightline.camera.rotation import seen_again
 from sightline.errors import InputError
 from sightline.georeferencing.correspondences import Pairs

@@ -12,11 +12,12 @@ has an offset of its own, and a new recording's unknown offset is part of the st
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 
@@ -57,10 +58,25 @@ class Hyperparameters:
         return np.log([self.amplitude, *self.length_scales, self.recording, self.noise])
 
     @classmethod
-    def from_log(cls, values: FloatArray) -> Hyperparameters:
-        """From the logarithms that `to_log` gives."""
-        positive = [float(v) for v in np.exp(values)]
-        return cls(positive[0], tuple(positive[1:-2]), positive[-2], positive[-1])
+    def from_log(cls, values: ArrayLike) -> Hyperparameters:
+        """From the logarithms that `to_log` gives, to within their rounding."""
+        return cls.from_list(np.exp(np.asarray(values, dtype=np.float64)).tolist())
+
+    def to_list(self) -> list[float]:
+        """The 3 + D values themselves: amplitude, length scales, recording, noise."""
+        return [self.amplitude, *self.length_scales, self.recording, self.noise]
+
+    @classmethod
+    def from_list(cls, values: Sequence[float]) -> Hyperparameters:
+        """The same hyperparameters, bit for bit, from what `to_list` gives.
+
+        Raises:
+            ValueError: A value is not positive and finite, or there are too few.
+        """
+        amplitude, *length_scales, recording, noise = (float(value) for value in values)
+        if not all(0.0 < value < np.inf for value in (amplitude, *length_scales, recording, noise)):
+            raise ValueError("a hyperparameter is not a positive number")
+        return cls(amplitude, tuple(length_scales), recording, noise)
 
 
 class ResidualProcess:

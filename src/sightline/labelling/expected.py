@@ -11,9 +11,9 @@ from scipy.optimize import nnls
 from sightline.camera.pinhole import PARAMETERS, project_with_jacobian
 from sightline.errors import InputError
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import scene_pairs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording, Scene
+from sightline.scene.correspondences import scene_pairs
 from sightline.synchronisation import LARGEST_GAP_S, Synchronised, synchronise
 from sightline.types import BoolArray, FloatArray
 

@@ -10,7 +10,8 @@ from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.expected import Expected, TargetSize, expect, place_of
 from sightline.labelling.snapping import GATE, Background, Belief, Look, snap
-from sightline.scene import Recording, check_overlap
+from sightline.scene import Recording
+from sightline.synchronisation import check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, Frame, IntArray, StrArray
 
 SOURCE = "log"

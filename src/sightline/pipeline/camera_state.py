@@ -11,15 +11,11 @@ import numpy as np
 
 from sightline.camera.motion import CameraMotionWatch, CameraTurn, Stance
 from sightline.camera.rotation import seen_again
-from sightline.camera.static_intervals import (
-    LOOKS_APART_S,
-    LOOKS_OF_REFERENCE,
-    least_turn_deg,
-    recording_stances,
-)
+from sightline.camera.static_intervals import LOOKS_APART_S, LOOKS_OF_REFERENCE, least_turn_deg
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.conditions import Conditions
 from sightline.scene import Recording
+from sightline.scene.camera_state import recording_stances
 from sightline.types import Boxes, FloatArray, Frame, rfc3339
 from sightline.water import WaterLevels
 

@@ -8,18 +8,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sightline import formats
-from sightline.camera.stabilisation import scene_horizons
-from sightline.detection import Progress
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.forecast import forecast_errors
 from sightline.evaluation.metrics import ScoredPairs, pair_positions, pair_track
 from sightline.evaluation.report import Report, evaluate_tracks, summarise
-from sightline.georeferencing.correspondences import scene_pairs
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer, fit
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer
 from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.pipeline.camera_state import recording_conditions
 from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.fit import fit
 from sightline.pipeline.track import (
     DEFAULT_TRAJECTORY,
     TrackSettings,
@@ -28,7 +26,10 @@ from sightline.pipeline.track import (
     states,
 )
 from sightline.platform import Platform, on_earth
+from sightline.progress import Progress
 from sightline.scene import Scene
+from sightline.scene.camera_state import scene_horizons
+from sightline.scene.correspondences import scene_pairs
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.trajectory.forecast import MotionModel, MotionState

@@ -10,32 +10,25 @@ import numpy as np
 from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
 from sightline.association.observations import observe
 from sightline.association.search import Watch
-from sightline.camera.calibration import CameraPrior, SourceBelief
+from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.rotation import scene_stances
+from sightline.camera.priors import CameraPrior, SourceBelief
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
-from sightline.detection import (
-    DEFAULT_DETECTOR,
-    LowerEdge,
-    Progress,
-    SceneDetections,
-    check_detector_name,
-    lower_edges_of,
-)
+from sightline.detection import DEFAULT_DETECTOR, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError, unknown_name
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Landmarks, Pairs, levels_at, scene_pairs
-from sightline.georeferencing.georeferencer import (
-    DEFAULT_MODEL,
-    MODELS,
-    Georeferencer,
-    fit,
-    fit_pairs,
-)
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer
 from sightline.georeferencing.recalibration import lies_since, prior_of
 from sightline.logged_path import LoggedPath
-from sightline.scene import Recording, Scene, check_overlap
+from sightline.pipeline.fit import fit, fit_pairs
+from sightline.progress import Progress
+from sightline.scene import Recording, Scene
+from sightline.scene.camera_state import scene_stances
+from sightline.scene.correspondences import levels_at, scene_pairs
+from sightline.scene.detections import SceneDetections, lower_edges_of
+from sightline.synchronisation import check_overlap
 from sightline.types import Boxes, FloatArray, IntArray
 
 APART_S = 1.5

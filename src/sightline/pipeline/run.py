@@ -7,8 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.camera.stabilisation import scene_horizons
-from sightline.detection import DEFAULT_DETECTOR, Progress, SceneDetections
+from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import FitError
 from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
@@ -17,15 +16,12 @@ from sightline.overlap import iou
 from sightline.pipeline.camera_state import Standing, camera_turns, recording_conditions
 from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score
 from sightline.pipeline.fit_unlabelled import fit_scene
-from sightline.pipeline.sources import (
-    LOOKED_AT,
-    SeldomError,
-    in_hand,
-    refuse_seldom,
-    timed,
-)
+from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
+from sightline.progress import Progress
 from sightline.scene import Recording, Scene
+from sightline.scene.camera_state import scene_horizons
+from sightline.scene.detections import SceneDetections
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.types import NO_TRACK, Boxes, Track

@@ -14,8 +14,7 @@ from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, det
 from sightline.detection.run import usable
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.scene import check_inside
-from sightline.types import NO_TRACK, Boxes, FloatArray, Frame
+from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
 
 _TABLE_SUFFIXES = (".csv", ".txt")
 _CHUNK_ROWS = 20_000

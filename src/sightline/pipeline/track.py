@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline import formats, video
-from sightline.camera.stabilisation import HorizonWatch
+from sightline.camera.horizon_tracker import HorizonWatch
 from sightline.clock import Clock
-from sightline.detection import Detector, Looker, Progress, detect, frame_count, shown
+from sightline.detection import Detector, Looker, detect, shown
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import Standing, StandingWatch
@@ -29,12 +29,14 @@ from sightline.pipeline.sources import (
     timed,
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
+from sightline.progress import Progress
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.trajectory.forecast import follow as follow_motion
 from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
+from sightline.video.reader import frame_count
 from sightline.water import WaterLevels
 
 DEFAULT_TRAJECTORY = "rts"

@@ -23,16 +23,7 @@ from sightline.clock import Clock, presentation_clock
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
-from sightline.types import (
-    NO_FRAME,
-    Boxes,
-    ControlPoints,
-    Fixes,
-    FloatArray,
-    Frame,
-    Horizons,
-    utc_text,
-)
+from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
 
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -487,54 +478,6 @@ class Scene:
         return replace(
             self, recordings=tuple(one for one in self.recordings if one.name not in left_out)
         )
-
-
-def check_inside(boxes: Boxes, size_px: tuple[int, int], where: str = "") -> None:
-    """Refuse boxes that have nothing to do with a picture.
-
-    Args:
-        boxes: The boxes.
-        size_px: Width and height of the picture.
-        where: Begins the message: the file.
-
-    Raises:
-        InputError: A box lies wholly outside the picture; names the first.
-    """
-    x1, y1, x2, y2 = boxes.xyxy_px.T
-    outside = (x2 <= 0.0) | (y2 <= 0.0) | (x1 >= size_px[0]) | (y1 >= size_px[1])
-    if outside.any():
-        i = int(np.argmax(outside))
-        box = ",".join(f"{value:g}" for value in boxes.xyxy_px[i])
-        known = boxes.frame[i] != NO_FRAME
-        name = f"the box of frame {boxes.frame[i]}" if known else f"box {i + 1}"
-        raise InputError(
-            f"{where}{name} ({box}) lies wholly outside the picture of {size_px[0]} x "
-            f"{size_px[1]} px; was it drawn in a picture of another size?"
-        )
-
-
-def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
-    """Refuse a log that has nothing to do with a recording.
-
-    Args:
-        time_utc_s: (N,) POSIX seconds of the recording's boxes or frames.
-        fixes: The log.
-        where: Which recording, for the message.
-
-    Raises:
-        InputError: No time lies between the first and the last fix; states both spans.
-    """
-    known = time_utc_s[np.isfinite(time_utc_s)]
-    if known.size and len(fixes):
-        first, last = fixes.time_utc_s[[0, -1]]
-        if ((known >= first) & (known <= last)).any():
-            return
-        raise InputError(
-            f"{where}: its log does not overlap it; the recording runs from "
-            f"{utc_text(known.min())} to {utc_text(known.max())}, the log from {utc_text(first)} "
-            f"to {utc_text(last)} (UTC)"
-        )
-    raise InputError(f"{where}: has no times or an empty log")
 
 
 # Recordings share their logs, which are long.

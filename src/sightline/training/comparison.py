@@ -27,16 +27,11 @@ from sightline.atomic import atomic_path
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.errors import InputError, SightlineError, unknown_name
 from sightline.evaluation.comparison import number
-from sightline.evaluation.detection import (
-    DetectionReport,
-    detect_labelled,
-    pooled,
-    scene_labels,
-    score_detections,
-)
+from sightline.evaluation.detection import DetectionReport, pooled, score_detections
 from sightline.evaluation.report import write_json
 from sightline.formats.labels import Labels
 from sightline.scene import Recording, Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 from sightline.training.architecture import ARCHITECTURES, build
 from sightline.training.augmentation import Augmentation
 from sightline.training.loop import find_device, versions

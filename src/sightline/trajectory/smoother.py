@@ -36,11 +36,7 @@ from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.trajectory import gauss_markov_chain as chain
 from sightline.trajectory.base import Measurements, measurements, point_kinds
-from sightline.trajectory.range_noise import (
-    Linearised,
-    NoiseAtRange,
-    RobustStart,
-)
+from sightline.trajectory.range_noise import Linearised, NoiseAtRange, RobustStart
 from sightline.types import BoolArray, FloatArray, Positions, Track
 
 _AGILITY_WIDTH_S = 3.0

@@ -7,12 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.options import (
     ClassesOption,
     DecoderOption,
@@ -33,15 +28,14 @@ from sightline.evaluation.detection import (
     DEFAULT_IOU,
     DetectionReport,
     JudgedFrame,
-    detect_labelled,
     pooled,
-    scene_labels,
     score_detections,
 )
 from sightline.formats.labels import parse_margins
-from sightline.georeferencing.model_file import load_model
+from sightline.georeferencing.georeferencer import load_model
 from sightline.pipeline.sources import make_detector
 from sightline.scene import Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 
 _LOWEST = 0.001
 """Average precision is of boxes of any confidence; below this there is nothing but noise."""

@@ -16,7 +16,7 @@ from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
 from sightline.cli.parsing import parse_names
 from sightline.errors import InputError
 from sightline.formats.labels import Labels, write_labels
-from sightline.georeferencing.model_file import load_model
+from sightline.georeferencing.georeferencer import load_model
 from sightline.labelling import DEFAULT_LABEL, Proposals, contact_sheets, learn_size, propose
 from sightline.scene import Recording, Scene
 
