@@ -21,7 +21,7 @@ from _motion import likeliest
 from _recordings import challenge_scene
 
 from sightline.evaluation.forecast import ForecastError, forecast_errors
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL
+from sightline.georeferencing.models import DEFAULT_MODEL
 from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score, with_forecasts
 from sightline.scene import Scene
 from sightline.synchronisation import synchronise

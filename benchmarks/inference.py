@@ -34,8 +34,8 @@ from sklearn.preprocessing import StandardScaler
 
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.pipeline.fit import fit_pairs
 from sightline.scene import Scene
 from sightline.scene.correspondences import scene_pairs
 from sightline.simulation.camera import SimulatedCamera
@@ -113,8 +113,8 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
 
 def with_sightline(pairs: Pairs, scene: Scene, model: str) -> tuple[Learned, Georeferencer]:
     took, georeferencer = timed(
-        lambda: fit_pairs(
-            pairs, scene, model, position_known=True, image_size_px=CAMERA.image_size_px
+        lambda: fit(
+            FitInputs(pairs, CAMERA.image_size_px, scene.control_points), FitSettings(model)
         )
     )
     camera = georeferencer.camera

@@ -16,7 +16,7 @@ import numpy as np
 from _recordings import challenge_scene
 
 from sightline.evaluation.report import Report
-from sightline.georeferencing.georeferencer import MODELS
+from sightline.georeferencing.models import MODELS
 from sightline.pipeline.evaluate import compare, place_boxes, score
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene

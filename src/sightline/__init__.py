@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any
 from sightline.errors import FitError, InputError, ModelFileError, SightlineError
 
 if TYPE_CHECKING:
-    from sightline.georeferencing.georeferencer import MODELS, Georeferencer
+    from sightline.georeferencing.georeferencer import Georeferencer
     from sightline.georeferencing.georeferencer import load_model as load
+    from sightline.georeferencing.models import MODELS
     from sightline.pipeline.evaluate import compare, evaluate
     from sightline.pipeline.fit_unlabelled import fit_scene as fit
     from sightline.pipeline.run import run
@@ -29,7 +30,7 @@ __version__ = _version("sightline")
 # Where the names are that bring scikit-learn, video and readers along: on first use.
 _LATER = {
     "fit": "sightline.pipeline.fit_unlabelled:fit_scene",
-    "MODELS": "sightline.georeferencing.georeferencer",
+    "MODELS": "sightline.georeferencing.models",
     "Georeferencer": "sightline.georeferencing.georeferencer",
     "load": "sightline.georeferencing.georeferencer:load_model",
     "compare": "sightline.pipeline.evaluate",

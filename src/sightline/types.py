@@ -6,7 +6,8 @@ Conventions, said once:
   x to the right and y down. The *foot* of a box is the middle of its lower edge.
 * **Times** are POSIX seconds, UTC, as float64 (``time_utc_s``): good to a quarter of a
   microsecond. NaN is a time that is not known.
-* **Positions** are metres east and north of the origin of a `LocalPlane`. NaN is no position.
+* **Positions** are metres east and north of the origin of a `LocalPlane`; relative to a platform
+  that moves they are of other types, without a latitude. NaN is no position.
 * **Covariances** are 2 x 2, square metres, in the order east, north.
 * **Courses and bearings** are degrees clockwise from north, in [0, 360).
 """
@@ -384,8 +385,10 @@ class ControlPoints(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Positions(_Columns):
-    """Where boxes lie on the earth, one row a box.
+class EastNorthPositions(_Columns):
+    """Metres east and north of an origin, with covariance, one row a box.
+
+    What the origin is, the two types that are made of it say: `Positions` and `PlatformPositions`.
 
     Attributes:
         east_m: (N,) float64, metres; NaN where there is no position (at or above the horizon).
@@ -393,7 +396,7 @@ class Positions(_Columns):
         covariance_m2: (N, 2, 2) float64, NaN where there is no position.
         extrapolated: (N,) bool, True where the box lies beyond those that the model learned from,
             and where there is no position at all.
-        plane: Where the origin lies on the earth.
+        plane: The plane of the earth that they are in, or will be moved to.
         shared_covariance_m2: (N, 2, 2) float64, the part of ``covariance_m2`` that a target has
             in common with itself a moment later, and that time does not average out: of the
             camera's parameters, the clock, the habits of a source. Absent: zero.
@@ -409,14 +412,7 @@ class Positions(_Columns):
     _row_fields = ("east_m", "north_m", "covariance_m2", "extrapolated", "shared_covariance_m2")
 
     def __post_init__(self) -> None:
-        n = np.size(self.east_m)
-        _freeze(self, "east_m", self.east_m, np.float64, (n,))
-        _freeze(self, "north_m", self.north_m, np.float64, (n,))
-        _freeze(self, "covariance_m2", self.covariance_m2, np.float64, (n, 2, 2))
-        _freeze(self, "extrapolated", self.extrapolated, np.bool_, (n,))
-        shared = self.shared_covariance_m2
-        shared = np.zeros((n, 2, 2)) if shared is None else shared
-        _freeze(self, "shared_covariance_m2", shared, np.float64, (n, 2, 2))
+        _freeze_places(self, "east_m", "north_m")
 
     def __len__(self) -> int:
         return int(self.east_m.size)
@@ -425,6 +421,16 @@ class Positions(_Columns):
     def known(self) -> BoolArray:
         """(N,) bool, True where there is a position."""
         return np.isfinite(self.east_m)
+
+    @property
+    def range_m(self) -> FloatArray:
+        """(N,) metres from the origin."""
+        return np.hypot(self.east_m, self.north_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Positions(EastNorthPositions):
+    """Where boxes lie on the earth: east and north of the origin of a `LocalPlane`."""
 
     @property
     def latitude_deg(self) -> FloatArray:
@@ -436,10 +442,66 @@ class Positions(_Columns):
         """(N,) degrees east, NaN where there is no position."""
         return self.plane.to_geographic(self.east_m, self.north_m)[1]
 
+
+@dataclass(frozen=True, eq=False)
+class PlatformPositions(EastNorthPositions):
+    """Where boxes lie relative to a platform that moves: east and north of it.
+
+    They have no latitude before they are moved to where the platform was.
+    """
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPositions(_Columns):
+    """Where boxes lie in the body frame of a platform: to starboard and ahead of it.
+
+    They have no latitude before it is known where the platform was and how it pointed.
+
+    Attributes:
+        starboard_m: (N,) float64, metres; NaN where there is no position.
+        ahead_m: (N,) float64, metres.
+        covariance_m2: (N, 2, 2) float64, in the order starboard, ahead.
+        extrapolated: (N,) bool; see `EastNorthPositions`.
+        plane: The plane of the earth that they will be moved to.
+        shared_covariance_m2: (N, 2, 2) float64; see `EastNorthPositions`.
+    """
+
+    starboard_m: FloatArray
+    ahead_m: FloatArray
+    covariance_m2: FloatArray
+    extrapolated: BoolArray
+    plane: LocalPlane
+    shared_covariance_m2: FloatArray | None = None
+
+    _row_fields = (
+        "starboard_m",
+        "ahead_m",
+        "covariance_m2",
+        "extrapolated",
+        "shared_covariance_m2",
+    )
+
+    def __post_init__(self) -> None:
+        _freeze_places(self, "starboard_m", "ahead_m")
+
+    def __len__(self) -> int:
+        return int(self.starboard_m.size)
+
     @property
-    def range_m(self) -> FloatArray:
-        """(N,) metres from the origin of the plane."""
-        return np.hypot(self.east_m, self.north_m)
+    def known(self) -> BoolArray:
+        """(N,) bool, True where there is a position."""
+        return np.isfinite(self.starboard_m)
+
+
+def _freeze_places(table: Any, first: str, second: str) -> None:
+    n = np.size(getattr(table, first))
+    _freeze(table, first, getattr(table, first), np.float64, (n,))
+    _freeze(table, second, getattr(table, second), np.float64, (n,))
+    _freeze(table, "covariance_m2", table.covariance_m2, np.float64, (n, 2, 2))
+    _freeze(table, "extrapolated", table.extrapolated, np.bool_, (n,))
+    shared = table.shared_covariance_m2
+    shared = np.zeros((n, 2, 2)) if shared is None else shared
+    _freeze(table, "shared_covariance_m2", shared, np.float64, (n, 2, 2))
 
 
 class PointKind(IntEnum):

@@ -20,6 +20,7 @@ from sightline.scene.camera_state import scene_horizons
 from sightline.simulation import Harbour, simulate
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway
+from sightline.synchronisation import synchronise
 from sightline.trajectory.forecast import follow
 from sightline.types import Boxes, Horizons, Positions
 
@@ -135,6 +136,30 @@ def test_a_target_at_rest_is_foretold_to_stay_though_the_platform_goes_on() -> N
     np.testing.assert_allclose(mean[0, 2:], 0.0, atol=0.2)
 
 
+def test_a_box_seen_from_a_vessel_has_a_place_on_the_earth_only_with_its_pose(
+    at_sea: sightline.Scene,
+) -> None:
+    model = sightline.fit(at_sea, "camera")
+    recording = at_sea.recordings[0]
+    boxes, fixes, platform = recording.boxes(), recording.fixes(), recording.platform()
+    assert platform is not None
+    horizons = recording.horizons()
+    boxes = model.level(boxes, horizons)
+    with pytest.raises(InputError, match=r"no place on the earth; give the platform's pose"):
+        model.locate(boxes.xyxy_px, boxes.source)
+    body = model.locate_body(boxes.xyxy_px, boxes.source)
+    assert not hasattr(body, "latitude_deg")
+    pose = platform.pose(boxes.time_utc_s, model.plane)
+    there = model.locate(boxes.xyxy_px, boxes.source, pose=pose)
+    true = synchronise(fixes, boxes.time_utc_s, model.plane)
+    east, north = model.plane.to_plane(there.latitude_deg, there.longitude_deg)
+    error = np.hypot(east - true.east_m, north - true.north_m)
+    assert np.nanmedian(error) < 10.0
+    # Starboard and ahead, taken for east and north, are hundreds of metres off.
+    wrong = np.hypot(body.starboard_m - true.east_m, body.ahead_m - true.north_m)
+    assert np.nanmedian(wrong) > 5.0 * np.nanmedian(error)
+
+
 def test_without_levelling_it_would_be_lost(at_sea: sightline.Scene) -> None:
     level_error = sightline.fit(at_sea, "camera").report.median_m
     text = at_sea.path.read_text()
@@ -236,9 +261,10 @@ def test_heave_is_told_from_errors_of_the_log(at_sea: sightline.Scene) -> None:
     still = replace(
         model, regressor=CameraRegressor.from_state(*_without_heave(model.regressor.state()))
     )
-    more, less = (m.locate(box).covariance_m2[0] for m in (model, still))
-    at = model.locate(box)
-    sight = np.array([at.east_m[0], at.north_m[0]]) / at.range_m[0]
+    more, less = (m.locate_body(box).covariance_m2[0] for m in (model, still))
+    at = model.locate_body(box)
+    sight = np.array([at.starboard_m[0], at.ahead_m[0]])
+    sight /= np.hypot(*sight)
     expected = (foot_m * noise.heave_m / camera.height_m) ** 2
     assert sight @ (more - less) @ sight == pytest.approx(expected, rel=0.1)
 

@@ -11,9 +11,10 @@ import sightline
 from sightline.errors import FitError, InputError
 from sightline.formats import write_fixes
 from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.pipeline.fit import fit_pairs
 from sightline.scene import Scene
+from sightline.scene.camera_state import scene_stances
 from sightline.scene.correspondences import scene_pairs
 from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
 
@@ -34,7 +35,10 @@ def box_at(*feet: tuple[float, float]) -> np.ndarray:
 
 
 def learn(model: str, pairs: Pairs, scene: Scene) -> Georeferencer:
-    return fit_pairs(pairs, scene, model, position_known=True, image_size_px=(1280, 720))
+    return fit(
+        FitInputs(pairs, (1280, 720), scene.control_points, stances=scene_stances(scene)),
+        FitSettings(model),
+    )
 
 
 @pytest.mark.parametrize("model", sightline.MODELS)

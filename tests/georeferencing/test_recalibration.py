@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.recalibration import moved_since
-from sightline.pipeline.fit import fit_pairs
-from sightline.scene import CameraSite, Scene
 from sightline.simulation import BoxNoise, Harbour
 from sightline.types import ControlPoints
 
@@ -26,19 +25,18 @@ def harbour_pairs(harbour, seed_px, times):
     )
 
 
-def model_of(harbour, pairs, tmp_path):
+def model_of(harbour, pairs):
     nothing = ControlPoints(np.empty((0, 2)), np.empty(0), np.empty(0))
-    scene = Scene(CameraSite(), (), nothing, tmp_path / "scene.toml")
     size = harbour.camera.image_size_px
-    return fit_pairs(pairs, scene, "camera", position_known=True, image_size_px=size)
+    return fit(FitInputs(pairs, size, nothing), FitSettings("camera"))
 
 
-def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without(tmp_path):
+def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without():
     alarms = 0
     for seed in range(4):
         harbour = Harbour.random(seed=seed, duration_s=240.0)
         pairs = harbour_pairs(harbour, 1.0, harbour.times(rate_hz=1.0))
-        model = model_of(harbour, pairs[::2], tmp_path)
+        model = model_of(harbour, pairs[::2])
         alarms += len(moved_since(model, pairs[1::2]))
         # A turn to the right moves all columns to the left, by the focal length in the middle.
         turned_at = float(np.quantile(pairs.boxes.time_utc_s, 0.5))

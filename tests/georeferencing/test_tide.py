@@ -128,7 +128,7 @@ def test_a_level_moves_places_as_the_geometry_says(learned: Scene, name: str) ->
     assert isinstance(regressor, CameraRegressor)
     regressor = CameraRegressor.from_state(*regressor.state())
     regressor.range_process_ = regressor.bearing_process_ = None
-    regressor._hull_m = 0.0
+    regressor.hull_m = 0.0
     boxes = np.array([[600.0, 420.0, 640.0, 440.0], [200.0, 500.0, 300.0, 560.0]])
     bias_m = regressor.bias("me")[0][1]
     at = np.hypot(*(regressor.predict(boxes) - (camera.east_m, camera.north_m)).T)
@@ -169,7 +169,7 @@ def test_what_is_not_known_of_the_level_is_in_the_ellipse(model: Georeferencer) 
     places, unsure, unsure_shared = regressor.predict(box, return_shared=True)
     _, sure, sure_shared = certain.predict(box, return_shared=True)
     away = places - (model.camera.east_m, model.camera.north_m)
-    range_m = np.hypot(*away.T) - regressor._hull_m
+    range_m = np.hypot(*away.T) - regressor.hull_m
     bias_m = regressor.bias("me")[0][1]
     for wide, narrow in ((unsure, sure), (unsure_shared, sure_shared)):
         added = np.trace(wide - narrow, axis1=1, axis2=2)

@@ -11,7 +11,7 @@ from sightline.cli.common import keep_apart, progress, say, stdout
 from sightline.cli.options import JsonOption, SceneArgument, SeedOption
 from sightline.cli.parsing import parse_names
 from sightline.evaluation.comparison import overview_table, paper_table
-from sightline.georeferencing.georeferencer import MODELS
+from sightline.georeferencing.models import MODELS
 from sightline.pipeline.evaluate import compare as compare_models
 from sightline.reporting.page import write_page
 from sightline.reporting.plots import MapPanel, map_figure, save_figure

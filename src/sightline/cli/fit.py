@@ -17,7 +17,8 @@ from sightline.cli.options import (
     SeedOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL, load_model
+from sightline.georeferencing.georeferencer import load_model
+from sightline.georeferencing.models import DEFAULT_MODEL
 from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
 from sightline.scene import Scene
 

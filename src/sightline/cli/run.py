@@ -25,7 +25,7 @@ from sightline.cli.options import (
     TrajectoryOption,
 )
 from sightline.detection import DEFAULT_DETECTOR
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL
+from sightline.georeferencing.models import DEFAULT_MODEL
 from sightline.pipeline.run import RunResult
 from sightline.pipeline.run import run as run_scene
 from sightline.pipeline.track import DEFAULT_TRAJECTORY, TrackSettings

@@ -34,8 +34,9 @@ from sightline.camera.priors import (
 from sightline.errors import FitError, InputError
 from sightline.georeferencing.one_box import place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings
+from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.residual_gp import Hyperparameters, ResidualProcess
-from sightline.types import BoolArray, FloatArray, IntArray, check_boxes
+from sightline.types import BoolArray, FloatArray, IntArray, StrArray, check_boxes
 
 FEWEST_FOR_RESIDUAL = 10
 """With fewer boxes a camera is all that can be learned."""
@@ -279,6 +280,29 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return places, covariance, shared
         return (places, covariance) if return_cov else places
 
+    @property
+    def camera(self) -> Camera:
+        """The fitted camera."""
+        return self.camera_
+
+    @property
+    def camera_fit(self) -> CameraFit:
+        """The fitted camera and its uncertainty."""
+        return self.fit_
+
+    @property
+    def reference_sigma_m(self) -> float:
+        """Lasting error of the logs that it learned from, metres east and north."""
+        return self.fit_.noise.drift_m
+
+    def locate(
+        self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
+    ) -> Placement:
+        """As `predict`, with covariances and the part of them that a target shares with itself."""
+        return Placement(
+            *self.predict(boxes_xyxy_px, source=source, above_m=above_m, return_shared=True)
+        )
+
     def bias(self, source: str) -> tuple[FloatArray, FloatArray]:
         """A source's bias, (2,) pixels and metres, and the whole covariance with the camera's.
 
@@ -308,18 +332,18 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _prepare(self) -> None:
         """What every prediction needs, once: the camera, and each source's bias."""
         # By how much a target moves while the clock is unsure, along either axis.
-        self._clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
+        self.clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
         length, beam = self.fit_.vector[len(PARAMETERS) : FIRST_SOURCE]
-        self._hull_m = float(ANY_ASPECT * (length + beam))
+        self.hull_m = float(ANY_ASPECT * (length + beam))
         # The variance of length |cos| + beam |sin| over all aspects.
-        aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self._hull_m**2
+        aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self.hull_m**2
         # Of a box nobody knows the course, and so not to which side of its middle the receiver is.
         place = self.fit_.noise.place_m**2 + 0.5 * self.fit_.noise.middle_m**2
-        self._place_variance = np.array([[place + aspect], [place]])
+        self.place_variance = np.array([[place + aspect], [place]])
         self._biases: dict[str, tuple[float, float, FloatArray]] = {}
 
-    def _root(self, source: str) -> tuple[float, float, FloatArray]:
+    def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
         """A source's bias, pixels and metres, and a root of the covariance of all parameters.
 
         The root is (13, 12): its product with `Located.derivatives`, but for the last, has the
@@ -341,10 +365,10 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     def _see(
         self, boxes: FloatArray, source: str, above_m: FloatArray, *, heave: bool = True
     ) -> _Seen:
-        bias_px, bias_m, root = self._root(source)
+        bias_px, bias_m, root = self.bias_root(source)
         camera = self.camera_
         column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
-        at = locate_with_jacobian(camera, column, row, bias_m + above_m, self._hull_m)
+        at = locate_with_jacobian(camera, column, row, bias_m + above_m, self.hull_m)
         by = at.derivatives
         shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
         moved = np.einsum("kin,kin->in", shift, shift)
@@ -356,7 +380,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         of_column, of_row = box.variances_px2(camera.focal_px**2 / slant)
         noise = of_column * by_column * by_column
         noise += of_row * by_row * by_row
-        noise += self._place_variance
+        noise += self.place_variance
         return _Seen(
             at.distance_m,
             at.sine,
@@ -382,7 +406,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
         out[1] = seen.distance
         metres_per_pixel = seen.distance / self.camera_.focal_px
-        bias_px = self._root(source)[0]
+        bias_px = self.bias_root(source)[0]
         out[2] = np.maximum(boxes[:, 3] - boxes[:, 1] - bias_px, 0.5) * metres_per_pixel
         out[3] = (boxes[:, 2] - boxes[:, 0]) * metres_per_pixel
         np.log(out[1:], out=out[1:])
@@ -406,7 +430,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             limit = (LARGEST_RELATIVE_SIGMA * seen.distance) ** 2
             known = seen.moved[0] + seen.noise[0] < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
-        along, across = seen.moved + self._clock_variance
+        along, across = seen.moved + self.clock_variance
         mixed = seen.moved_mixed
         if self.range_process_ is None or self.bearing_process_ is None:
             own_along, own_across = seen.noise
@@ -546,19 +570,17 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return arrays, settings
 
     @classmethod
-    def from_state(cls, arrays: Arrays, settings: Settings, *, logarithms: bool = False) -> Self:
+    def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
         """The model that `state` described.
 
         Args:
             arrays: Of `state`.
             settings: Of `state`.
-            logarithms: Whether hyperparameters are kept as logarithms, as release 0.1 did.
 
         Raises:
             LookupError: A part is missing.
             ValueError: A part does not fit the others.
         """
-        hyperparameters = Hyperparameters.from_log if logarithms else Hyperparameters.from_list
         prior = settings["prior"]
         if prior is not None:
             pairs = {k: tuple(v) for k, v in prior.items() if isinstance(v, list)}
@@ -603,7 +625,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 np.array(arrays[f"{key}.noise"], dtype=np.float64),
                 np.array(arrays[f"{key}.group"], dtype=np.int64),
                 length_scales=tuple(settings[key]["length_scales"]),
-                hyperparameters=hyperparameters(settings[key]["hyperparameters"]),
+                hyperparameters=Hyperparameters.from_list(settings[key]["hyperparameters"]),
                 log_error=LogError(
                     np.array(arrays[f"{key}.time"], dtype=np.float64),
                     np.array(arrays[f"{key}.direction"], dtype=np.float64),

@@ -49,6 +49,19 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.boxes)
 
+    def in_plane(self, plane: LocalPlane) -> Self:
+        """The same places, east and north of another origin; velocities stay as they are.
+
+        Args:
+            plane: Not so far away that its north points elsewhere.
+        """
+        latitude, longitude = self.plane.to_geographic(*self.east_north_m.T)
+        return replace(
+            self,
+            east_north_m=np.stack(plane.to_plane(latitude, longitude), axis=1),
+            plane=plane,
+        )
+
     def __getitem__(self, rows: Any) -> Self:
         return replace(
             self,

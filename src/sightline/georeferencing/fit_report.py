@@ -11,7 +11,7 @@ from sightline.camera.pinhole import PARAMETERS
 from sightline.camera.priors import FIRST_SOURCE, TARGET_PARAMETERS
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
-from sightline.georeferencing.paper.model import PaperModel
+from sightline.georeferencing.models import BoxModel
 from sightline.types import BoolArray, FloatArray
 
 _UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
@@ -156,7 +156,7 @@ def _jsonable(value: Any) -> Any:
 
 def fit_report(
     model: str,
-    regressor: PaperModel | CameraRegressor,
+    regressor: BoxModel,
     pairs: Pairs,
     places: FloatArray,
     control_points: int,

@@ -22,14 +22,19 @@ from sightline.geodesy import LocalPlane
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.fit_report import FitReport
 from sightline.georeferencing.model_file import damaged, read_model_file, write_model_file
-from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel
+from sightline.georeferencing.models import BoxModel, ModelType, model_type
+from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.support import Support
-from sightline.types import Boxes, FloatArray, Horizons, Positions, check_boxes
-
-MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
-"""The names of all models: the paper's five, and ours."""
-
-DEFAULT_MODEL = "camera+gpr"
+from sightline.platform import Pose, on_earth
+from sightline.types import (
+    BodyPositions,
+    BoolArray,
+    Boxes,
+    FloatArray,
+    Horizons,
+    Positions,
+    check_boxes,
+)
 
 _FOCAL = PARAMETERS.index("focal_px")
 _VIEW = ("strips", "top_px", "left_px")
@@ -48,7 +53,7 @@ class Georeferencer:
     """Says where boxes lie on the earth.
 
     Attributes:
-        model: Name of the model, one of `MODELS`.
+        model: Name of the model: one of `MODELS`, or another package's.
         regressor: From boxes to metres in the plane.
         plane: The camera is at its origin, as far as its place is known.
         image_size_px: Width and height of the images that it works on.
@@ -65,7 +70,7 @@ class Georeferencer:
     """
 
     model: str
-    regressor: PaperModel | CameraRegressor
+    regressor: BoxModel
     plane: LocalPlane
     image_size_px: tuple[int, int]
     support: Support
@@ -78,7 +83,12 @@ class Georeferencer:
     @property
     def camera(self) -> Camera | None:
         """The camera, where the model has one."""
-        return self.regressor.camera_ if isinstance(self.regressor, CameraRegressor) else None
+        return self.regressor.camera
+
+    @property
+    def calibrated(self) -> CameraRegressor | None:
+        """The camera with all that is known of it, where the model is one of ours."""
+        return self.regressor if isinstance(self.regressor, CameraRegressor) else None
 
     @property
     def log_sigma_m(self) -> float:
@@ -87,17 +97,17 @@ class Georeferencer:
         The part that lasts: what changes from fix to fix cannot be told from the boxes' own noise,
         and is part of each position's covariance. 0 where the model does not tell the two apart.
         """
-        if not isinstance(self.regressor, CameraRegressor):
-            return 0.0
-        return self.regressor.fit_.noise.drift_m
+        return self.regressor.reference_sigma_m
 
     def locate(
         self,
         boxes_xyxy_px: ArrayLike,
         source: ArrayLike | None = None,
         water_level_m: ArrayLike | None = None,
+        *,
+        pose: Pose | None = None,
     ) -> Positions:
-        """Where boxes lie.
+        """Where boxes lie on the earth.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
@@ -105,37 +115,79 @@ class Georeferencer:
                 name, as in the fit. Its bias is taken off. The paper's models know no sources.
             water_level_m: How high the water stands, (N,) or one value for all, metres above the
                 datum of the water levels of the fit; needed where there were such.
+            pose: Where the platform was at the N boxes' times, in the model's plane, and how it
+                pointed; needed where the camera stands on one that moves.
 
         Returns:
             N positions, NaN where there is none: at or above the horizon, or where the range
             would be less certain than half of itself.
 
         Raises:
-            InputError: A box is reversed, or not a number; or the water level is missing, is
-                given to a model that knows of none, or is not below the camera.
+            InputError: A box is reversed, or not a number; or the water level or the pose is
+                missing, is given to a model that knows of none, or does not fit.
         """
+        if pose is None and self.moving:
+            raise InputError(
+                "the model is of a camera on a platform that moves, so a box alone has no place on "
+                "the earth; give the platform's pose (pose=platform.pose(times, model.plane)), or "
+                "ask for places relative to the platform (locate_body)"
+            )
+        if pose is not None:
+            return on_earth(self.locate_body(boxes_xyxy_px, source), pose)
+        placed, extrapolated = self._place(boxes_xyxy_px, source, water_level_m)
+        return Positions(
+            east_m=placed.east_north_m[:, 0],
+            north_m=placed.east_north_m[:, 1],
+            covariance_m2=placed.covariance_m2,
+            extrapolated=extrapolated,
+            plane=self.plane,
+            shared_covariance_m2=placed.shared_covariance_m2,
+        )
+
+    def locate_body(
+        self, boxes_xyxy_px: ArrayLike, source: ArrayLike | None = None
+    ) -> BodyPositions:
+        """Where boxes lie relative to the platform that the camera stands on.
+
+        Args:
+            boxes_xyxy_px: See `locate`.
+            source: See `locate`.
+
+        Raises:
+            InputError: See `locate`; or the camera stands still.
+        """
+        if not self.moving:
+            raise InputError(
+                "the model is of a camera that stands still, so its boxes have places on the earth "
+                "and none relative to a platform; ask for those (locate), or fit a model to "
+                "recordings with platform logs"
+            )
+        placed, extrapolated = self._place(boxes_xyxy_px, source, None)
+        return BodyPositions(
+            starboard_m=placed.east_north_m[:, 0],
+            ahead_m=placed.east_north_m[:, 1],
+            covariance_m2=placed.covariance_m2,
+            extrapolated=extrapolated,
+            plane=self.plane,
+            shared_covariance_m2=placed.shared_covariance_m2,
+        )
+
+    def _place(
+        self,
+        boxes_xyxy_px: ArrayLike,
+        source: ArrayLike | None,
+        water_level_m: ArrayLike | None,
+    ) -> tuple[Placement, BoolArray]:
+        """Places in the model's plane, and (N,) whether they are extrapolated."""
         boxes = np.asarray(boxes_xyxy_px, dtype=np.float64)
         boxes = boxes.reshape(-1, 4) if boxes.size == 0 or boxes.ndim == 1 else boxes
         check_boxes(boxes)
-        above_m = self.above_m(water_level_m)
-        if isinstance(self.regressor, CameraRegressor):
-            places, covariance, shared = self.regressor.predict(
-                boxes, source=source, above_m=above_m, return_shared=True
-            )
-        else:
-            places, covariance = self.regressor.predict(boxes)
-            shared = None
+        names = None if source is None else np.asarray(source, dtype=np.str_)
+        placed = self.regressor.locate(boxes, names, self.above_m(water_level_m))
         foot = np.empty((len(boxes), 2))
         foot[:, 0], foot[:, 1] = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]
-        known = np.isfinite(places[:, 0])
-        return Positions(
-            east_m=places[:, 0],
-            north_m=places[:, 1],
-            covariance_m2=covariance,
-            extrapolated=~(known & self.support.holds(foot)),
-            plane=self.plane,
-            shared_covariance_m2=shared,
-        )
+        known = np.isfinite(placed.east_north_m[:, 0])
+        return placed, ~(known & self.support.holds(foot))
 
     def check_water(self, given: bool, where: str = "") -> None:
         """Refuse to place boxes without a water level where the model needs one, or the reverse.
@@ -209,9 +261,9 @@ class Georeferencer:
             None where it was not turned, nothing tells, or the model has no camera that stands
             still.
         """
-        if not isinstance(self.regressor, CameraRegressor) or self.moving:
+        fit = self.regressor.camera_fit
+        if fit is None or self.moving:
             return None
-        fit = self.regressor.fit_
         focal_log_sigma = float(np.sqrt(fit.covariance[_FOCAL, _FOCAL]))
         return Turns.of(stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma)
 
@@ -243,8 +295,12 @@ class Georeferencer:
         return write_model_file(path, content, tensors)
 
 
-def load_model(path: str | os.PathLike[str]) -> Georeferencer:
+def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) -> Georeferencer:
     """Read a georeferencer.
+
+    Args:
+        path: Of the file.
+        model: Reads the model in it, where that is of a type that is not registered.
 
     Raises:
         ModelFileError: There is no such file, it is damaged, of another kind, or of a format
@@ -252,29 +308,22 @@ def load_model(path: str | os.PathLike[str]) -> Georeferencer:
     """
     content, tensors = read_model_file(path)
     try:
-        return _build(content, tensors)
+        return _build(content, tensors, model)
     except (*_DAMAGE, SightlineError) as error:
         raise damaged(path, error) from error
 
 
-def _build(content: dict[str, Any], tensors: dict[str, Any]) -> Georeferencer:
-    name = content["model"]
-    if name not in MODELS:
-        raise ValueError(f"its model {name!r} is not known")
+def _build(
+    content: dict[str, Any], tensors: dict[str, Any], model: ModelType | None
+) -> Georeferencer:
+    kind = model or model_type(content["model"])
     prefix = "regressor."
     arrays = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
-    regressor: PaperModel | CameraRegressor
-    if name in PAPER_MODELS:
-        regressor = PaperModel.from_state(arrays, content["settings"])
-    else:
-        regressor = CameraRegressor.from_state(
-            arrays, content["settings"], logarithms=content["format_version"] == 1
-        )
     width, height = (int(v) for v in content["image_size_px"])
     latitude, longitude = (float(v) for v in content["plane"])
     return Georeferencer(
-        model=name,
-        regressor=regressor,
+        model=content["model"],
+        regressor=kind.load(arrays, _settings(content)),
         plane=LocalPlane(latitude, longitude),
         image_size_px=(width, height),
         support=Support(np.asarray(tensors["support"], dtype=np.float64).reshape(-1, 3)),
@@ -284,6 +333,16 @@ def _build(content: dict[str, Any], tensors: dict[str, Any]) -> Georeferencer:
         water_level_m=_finite(content.get("water_level_m")),
         view=_view(tensors, bool(content.get("view_landmarks", True))),
     )
+
+
+def _settings(content: dict[str, Any]) -> dict[str, Any]:
+    """The model's settings; files of release 0.1 kept hyperparameters as logarithms."""
+    settings = dict(content["settings"])
+    if content["format_version"] == 1:
+        for key in {"range", "bearing"} & settings.keys():
+            values = np.exp(np.array(settings[key]["hyperparameters"], dtype=np.float64))
+            settings[key] = {**settings[key], "hyperparameters": values.tolist()}
+    return settings
 
 
 def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:

@@ -7,19 +7,35 @@ operations is that of calling them, some hundred of them; numbers take a few mic
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
-from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, locate_one
+from sightline.camera.calibration import CameraFit
+from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_one
+from sightline.georeferencing.residual_gp import ResidualProcess
 from sightline.types import FloatArray
 
-if TYPE_CHECKING:
-    from sightline.georeferencing.camera_regressor import CameraRegressor
+
+class FittedCamera(Protocol):
+    """What of a fitted `CameraRegressor` is needed to place a box."""
+
+    camera_: Camera
+    fit_: CameraFit
+    above_sigma_m: float
+    range_process_: ResidualProcess | None
+    bearing_process_: ResidualProcess | None
+    hull_m: float
+    place_variance: FloatArray
+    clock_variance: float
+
+    def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
+        """A source's bias, pixels and metres, and a root of the covariance with the camera's."""
+        ...
 
 
 def place_one(
-    model: CameraRegressor,
+    model: FittedCamera,
     box: FloatArray,
     source: str,
     largest_relative_sigma: float,
@@ -40,8 +56,8 @@ def place_one(
     """
     x1, y1, x2, y2 = box.tolist()
     camera = model.camera_
-    bias_px, bias_m, root = model._root(source)
-    at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m + above_m, model._hull_m)
+    bias_px, bias_m, root = model.bias_root(source)
+    at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m + above_m, model.hull_m)
     if at is None:
         return None
     distance, sine, cosine, by = at
@@ -52,13 +68,13 @@ def place_one(
     slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
     (row_along, row_across), (column_along, column_across) = by[[BY_ROW, BY_COLUMN]].tolist()
-    (place_along,), (place_across,) = model._place_variance.tolist()
+    (place_along,), (place_across,) = model.place_variance.tolist()
     own_along = of_column * column_along**2 + of_row * row_along**2 + place_along
     own_across = of_column * column_across**2 + of_row * row_across**2 + place_across
     if not along + own_along < (largest_relative_sigma * distance) ** 2:
         return None
-    along += model._clock_variance
-    across += model._clock_variance
+    along += model.clock_variance
+    across += model.clock_variance
     own_mixed = 0.0
     if model.range_process_ is None or model.bearing_process_ is None:
         own_mixed = of_column * column_along * column_across + of_row * row_along * row_across

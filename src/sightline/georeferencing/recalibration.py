@@ -91,7 +91,9 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     camera = model.camera
     if camera is None:
         raise InputError(f"model {model.model!r} has no camera, so it cannot be updated")
-    sigma = inflation * np.sqrt(np.diag(model.regressor.fit_.covariance))  # type: ignore[union-attr]
+    fit = model.regressor.camera_fit
+    assert fit is not None, "a model with a camera knows how well"
+    sigma = inflation * np.sqrt(np.diag(fit.covariance))
     usual = CameraPrior()
     prior = replace(
         usual,
@@ -240,8 +242,9 @@ def _residuals(
     model: Georeferencer, pairs: Pairs
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Seen minus expected feet, by the turns (N, 2, 3), their spread (N, 2), and times."""
-    regressor = model.regressor
-    fit = regressor.fit_  # type: ignore[union-attr]
+    regressor = model.calibrated
+    assert regressor is not None, "the caller has looked"
+    fit = regressor.fit_
     camera = fit.camera
     vector = camera.to_vector()
     size = model.image_size_px
@@ -252,7 +255,7 @@ def _residuals(
     )
     boxes = pairs.boxes.xyxy_px
     foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
-    bias = np.array([regressor.bias(str(s))[0] for s in pairs.boxes.source]).reshape(-1, 2)  # type: ignore[union-attr]
+    bias = np.array([regressor.bias(str(s))[0] for s in pairs.boxes.source]).reshape(-1, 2)
     foot[:, 1] -= bias[:, 0]
     residual = foot - pixel - by_point[:, :, 2] * bias[:, 1:]
     slant2 = np.sum((place - vector[7:9]) ** 2, axis=1) + camera.height_m**2

@@ -70,12 +70,12 @@ def camera_of(georeferencer: Georeferencer) -> CameraRegressor:
     Raises:
         InputError: It has none: the paper's models go from a box to a place, and not back.
     """
-    if not isinstance(georeferencer.regressor, CameraRegressor):
+    if georeferencer.calibrated is None:
         raise InputError(
             f"a {georeferencer.model} model cannot say where in the image a place lies; fit "
             "camera or camera+gpr"
         )
-    return georeferencer.regressor
+    return georeferencer.calibrated
 
 
 def learn_size(scene: Scene, georeferencer: Georeferencer) -> TargetSize:

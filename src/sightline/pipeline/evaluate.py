@@ -8,16 +8,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sightline import formats
-from sightline.errors import FitError, InputError, unknown_name
+from sightline.errors import FitError, InputError
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.forecast import forecast_errors
 from sightline.evaluation.metrics import ScoredPairs, pair_positions, pair_track
 from sightline.evaluation.report import Report, evaluate_tracks, summarise
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer
+from sightline.georeferencing.fit import FitSettings
+from sightline.georeferencing.fit import fit as fit_inputs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import DEFAULT_MODEL, MODELS, ModelType, model_type
 from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.pipeline.camera_state import recording_conditions
 from sightline.pipeline.conditions import Conditions
-from sightline.pipeline.fit import fit
 from sightline.pipeline.track import (
     DEFAULT_TRAJECTORY,
     TrackSettings,
@@ -25,11 +27,11 @@ from sightline.pipeline.track import (
     smooth_boxes,
     states,
 )
-from sightline.platform import Platform, on_earth
+from sightline.platform import Platform
 from sightline.progress import Progress
 from sightline.scene import Scene
 from sightline.scene.camera_state import scene_horizons
-from sightline.scene.correspondences import scene_pairs
+from sightline.scene.correspondences import collect
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.trajectory.forecast import MotionModel, MotionState
@@ -99,10 +101,7 @@ class Placed:
 
     def single(self) -> ScoredPairs:
         """Each box by itself beside the log."""
-        positions = self.conditions.locate(self.boxes, self.model)
-        if self.platform is not None:
-            pose = self.platform.pose(self.boxes.time_utc_s, self.model.plane)
-            positions = on_earth(positions, pose)
+        positions = self.conditions.locate(self.boxes, self.model, self.platform)
         return pair_positions(
             self.boxes.time_utc_s,
             positions,
@@ -213,7 +212,7 @@ def with_forecasts(report: Report, placed: Sequence[Placed]) -> Report:
 
 def leave_one_out(
     scene: Scene,
-    model: str = DEFAULT_MODEL,
+    model: str | ModelType = DEFAULT_MODEL,
     *,
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
@@ -229,21 +228,17 @@ def leave_one_out(
     Raises:
         FitError: Fewer than two recordings have pairs, or what is left is too little.
     """
-    plane = scene.plane
-    names = [
-        recording.name
-        for recording in scene.recordings
-        if recording.boxes_path is not None and recording.fixes_path is not None
-    ]
-    if plane is not None and names:
-        held = scene_pairs(scene, plane).recording
-        names = [name for name in names if name in held]
+    kind = model_type(model)
+    inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
+    held = set(inputs.correspondences.recording.tolist())
+    names = [recording.name for recording in scene.recordings if recording.name in held]
     if len(names) < 2:
         raise FitError(
             f"{scene.path}: leaving one recording out needs at least two recordings with boxes "
             f"and fixes at the same times; there {'is' if len(names) == 1 else 'are'} {len(names)}"
         )
-    return {name: fit(scene.without([name]), model, seed=seed, extra=extra) for name in names}
+    settings = FitSettings(model=kind, seed=seed)
+    return {name: fit_inputs(inputs.without(name), settings) for name in names}
 
 
 def compare(
@@ -274,8 +269,7 @@ def compare(
     if not models:
         raise InputError(f"no model is named; known are {', '.join(MODELS)}")
     for name in models:
-        if name not in MODELS:
-            raise unknown_name("model", name, MODELS)
+        model_type(name)
     if trajectory is not None:
         method(trajectory)
     single: dict[str, Report] = {}

@@ -16,13 +16,16 @@ from sightline.camera.priors import CameraPrior, SourceBelief
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
 from sightline.detection import DEFAULT_DETECTOR, LowerEdge, check_detector_name
-from sightline.errors import FitError, InputError, unknown_name
+from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Pairs
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer
+from sightline.georeferencing.fit import FitInputs, FitSettings
+from sightline.georeferencing.fit import fit as fit_inputs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
 from sightline.georeferencing.recalibration import lies_since, prior_of
 from sightline.logged_path import LoggedPath
-from sightline.pipeline.fit import fit, fit_pairs
+from sightline.pipeline.fit import fit
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_stances
@@ -53,7 +56,7 @@ _LEAST_SIGMA_M = 0.1
 
 def fit_scene(
     scene: Scene,
-    model: str = DEFAULT_MODEL,
+    model: str | ModelType = DEFAULT_MODEL,
     *,
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
@@ -70,7 +73,7 @@ def fit_scene(
 
     Args:
         scene: The scene.
-        model: One of `MODELS`.
+        model: One of `MODELS`, or a model type.
         seed: Of whatever is random in the fit.
         extra: As for `fit`.
         detector: Name of the detector for recordings that have pictures but no boxes of any kind;
@@ -83,8 +86,7 @@ def fit_scene(
         InputError: The model's name is not known, or a file of the scene cannot be used.
         FitError: There is too little, or nobody can be recognised.
     """
-    if model not in MODELS:
-        raise unknown_name("model", model, MODELS)
+    model = model_type(model)
     if detector is not None:
         check_detector_name(detector)
     drawn = any(r.boxes_path and r.fixes_path for r in scene.recordings)
@@ -195,7 +197,7 @@ def _over_water(watches: Sequence[Watch], scene: Scene) -> list[Watch]:
 def fit_association(
     scene: Scene,
     association: Association,
-    model: str = DEFAULT_MODEL,
+    model: str | ModelType = DEFAULT_MODEL,
     *,
     seed: int = 0,
     lower_edges: Mapping[str, LowerEdge | None] | None = None,
@@ -206,7 +208,7 @@ def fit_association(
     Args:
         scene: The scene.
         association: Of the scene.
-        model: One of `MODELS`.
+        model: One of `MODELS`, or a model type.
         seed: Of whatever is random in the fit.
         lower_edges: Where the boxes of each source end, as `SceneDetections` tells.
         seen: Who has looked at the scene's pictures already.
@@ -219,17 +221,22 @@ def fit_association(
     landmarks = scene_landmarks(scene, association, seen)
     pairs = recognised_pairs(association, plane, scene)
     beliefs = _measured(pairs, association.camera, lower_edges)
-    fitted = fit_pairs(
-        pairs,
-        scene,
-        model,
-        position_known=True,
+    inputs = FitInputs(
+        correspondences=pairs,
         image_size_px=scene.image_size_px,
+        control_points=scene.control_points,
+        tidal=scene.tidal,
+        stances=scene_stances(scene),
+        landmarks=landmarks,
+        name=str(scene.path),
+    )
+    settings = FitSettings(
+        model=model,
         seed=seed,
         prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
-        landmarks=landmarks,
-        beliefs=beliefs,
+        source_priors=beliefs,
     )
+    fitted = fit_inputs(inputs, settings)
     more = list(association.statements)
     if len(landmarks):
         more.append("The edge of the water in the pictures tells where the horizon is.")
@@ -323,7 +330,8 @@ def update_scene(
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
-    now = lies_since(old, pairs, scene_stances(scene, progress))
+    stances = scene_stances(scene, progress)
+    now = lies_since(old, pairs, stances)
     prior = replace(
         prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,
@@ -331,18 +339,24 @@ def update_scene(
         unseen_px=usual.unseen_px,
         unseen_m=usual.unseen_m,
     )
-    fitted = fit_pairs(
-        pairs,
-        scene,
-        old.model,
-        position_known=True,
+    inputs = FitInputs(
+        correspondences=pairs,
         image_size_px=old.image_size_px,
+        control_points=scene.control_points,
+        moving=scene.moves,
+        tidal=scene.tidal,
+        stances=stances,
+        landmarks=landmarks,
+        name=str(scene.path),
+    )
+    settings = FitSettings(
+        model=old.model,
         seed=seed,
         prior=prior,
-        landmarks=landmarks,
-        beliefs=beliefs,
+        source_priors=beliefs,
         water_level_m=old.water_level_m,
     )
+    fitted = fit_inputs(inputs, settings)
     statements = (*now.statements, *more, *fitted.report.statements)
     return replace(fitted, report=replace(fitted.report, statements=statements))
 

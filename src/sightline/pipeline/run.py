@@ -11,7 +11,8 @@ from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import FitError
 from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
-from sightline.georeferencing.georeferencer import DEFAULT_MODEL, Georeferencer
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import DEFAULT_MODEL, ModelType
 from sightline.overlap import iou
 from sightline.pipeline.camera_state import Standing, camera_turns, recording_conditions
 from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score
@@ -58,7 +59,7 @@ class RunResult:
 def run(
     scene: Scene,
     *,
-    model: str = DEFAULT_MODEL,
+    model: str | ModelType = DEFAULT_MODEL,
     detector: str = DEFAULT_DETECTOR,
     settings: TrackSettings | None = None,
     seed: int = 0,
@@ -68,7 +69,7 @@ def run(
 
     Args:
         scene: The scene.
-        model: Name of the model.
+        model: Name of the model, or a model type.
         detector: Name of the detector for recordings without boxes.
         settings: How boxes become tracks.
         seed: Of whatever is random in the fit.
@@ -148,7 +149,7 @@ def _drawn(scene: Scene) -> bool:
 
 
 def _leave_one_out_undrawn(
-    scene: Scene, model: str, seed: int, seen: SceneDetections, tell: Progress
+    scene: Scene, model: str | ModelType, seed: int, seen: SceneDetections, tell: Progress
 ) -> dict[str, Georeferencer]:
     """For each recording with a log a model that never saw it, without drawn boxes.
 

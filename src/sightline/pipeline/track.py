@@ -28,14 +28,14 @@ from sightline.pipeline.sources import (
     refuse_seldom,
     timed,
 )
-from sightline.platform import Platform, moved_track, north_up, on_earth
+from sightline.platform import Platform, moved_track, north_up
 from sightline.progress import Progress
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.trajectory.forecast import follow as follow_motion
-from sightline.types import NO_TRACK, Boxes, FloatArray, Horizons, Track
+from sightline.types import NO_TRACK, Boxes, EastNorthPositions, FloatArray, Horizons, Track
 from sightline.video.reader import frame_count
 from sightline.water import WaterLevels
 
@@ -289,7 +289,9 @@ def _tracker(model: Georeferencer, standing: Standing, platform: Platform | None
         return ImageTracker()
     # What is not known of a turn moves all targets alike, so it tells none from another.
     water = Conditions(water=standing.conditions.water)
-    return WorldTracker(lambda boxes: water.locate(boxes, model), platform=platform)
+    return WorldTracker(
+        lambda boxes: water.locate(boxes, model, platform, until_then=True), platform=platform
+    )
 
 
 def _forecast(
@@ -436,7 +438,7 @@ def states(
     Returns:
         None where no box has a place.
     """
-    positions = conditions.locate(boxes, model)
+    positions = conditions.locate(boxes, model, platform, until_then=True)
     if platform is None:
         if not positions.known.any():
             return None
@@ -444,7 +446,6 @@ def states(
     motion = motion or MotionModel()
     motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
     pose = platform.pose(boxes.time_utc_s, model.plane, until_then=True)
-    positions = on_earth(positions, pose)
     if not positions.known.any():
         return None
     followed = follow_motion(
@@ -469,9 +470,12 @@ def smooth_boxes(
 
     Before a moving camera the path relative to it is smoothed, and then put where the camera was.
     """
-    positions = (conditions or Conditions()).locate(boxes, model)
-    if platform is not None:
-        positions = north_up(positions, platform.pose(boxes.time_utc_s, model.plane))
+    positions: EastNorthPositions
+    if platform is None:
+        positions = (conditions or Conditions()).locate(boxes, model)
+    else:
+        body = model.locate_body(boxes.xyxy_px, boxes.source)
+        positions = north_up(body, platform.pose(boxes.time_utc_s, model.plane))
     times = boxes.time_utc_s[positions.known]
     if not times.size or np.ptp(times) < shortest_s:
         return None

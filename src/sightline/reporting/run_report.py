@@ -14,7 +14,6 @@ from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import ScoredPairs, pair_track
 from sightline.evaluation.report import Report
-from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.evaluate import Placed
 from sightline.pipeline.run import RunResult
@@ -247,9 +246,9 @@ def _model_rows(model: Georeferencer) -> list[ModelRow]:
 
 
 def _source_rows(model: Georeferencer) -> list[SourceRow]:
-    if not isinstance(model.regressor, CameraRegressor):
+    fit = model.regressor.camera_fit
+    if fit is None:
         return []
-    fit = model.regressor.fit_
     pixels_per_metre = float(np.exp(fit.vector[4])) / fit.typical_range_m
     return [
         SourceRow(

@@ -2,17 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs
 from sightline.platform import to_bow, turned
-from sightline.scene import Recording, Scene
+from sightline.progress import Progress
+from sightline.scene.camera_state import scene_horizons, scene_stances
+from sightline.scene.scene import Recording, Scene
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap, synchronise
 from sightline.types import Boxes, FloatArray
+
+
+def collect(
+    scene: Scene,
+    *,
+    extra: Mapping[str, Boxes] | None = None,
+    pictures: bool = True,
+    progress: Progress | None = None,
+) -> FitInputs:
+    """Read from the files of a scene all that a fit learns from.
+
+    Args:
+        scene: Its recordings' boxes and logs, and its control points.
+        extra: Further boxes of the logged target, from another source, by recording: so that the
+            bias of a detector is learned beside that of an annotator. The residual process of
+            ``camera+gpr`` learns nothing of them.
+        pictures: Whether the pictures of the recordings are asked if the camera was turned.
+        progress: Told which recording's pictures are looked at.
+
+    Raises:
+        InputError: A file of the scene cannot be used.
+        FitError: No box has fixes near enough on both sides, though logs overlap recordings, or
+            nothing says where on the earth the scene is.
+    """
+    plane = scene.plane
+    pairs = scene_pairs(scene, plane if plane is not None else _middle(scene), extra=extra)
+    anything = len(pairs) or len(scene.control_points)
+    asked = {
+        recording.name: len(recording.boxes()) + len((extra or {}).get(recording.name, ()))
+        for recording in scene.recordings
+        if recording.boxes_path is not None and recording.fixes_path is not None
+    }
+    horizons = {recording.name: scene_horizons(recording) for recording in scene.recordings}
+    return FitInputs(
+        correspondences=pairs,
+        image_size_px=scene.image_size_px,
+        control_points=scene.control_points,
+        position_known=plane is not None or scene.moves,
+        moving=scene.moves,
+        tidal=scene.tidal,
+        horizons={name: seen for name, seen in horizons.items() if seen is not None},
+        stances=scene_stances(scene, progress) if pictures and anything else {},
+        asked=asked,
+        name=str(scene.path),
+    )
+
+
+def _middle(scene: Scene) -> LocalPlane:
+    """A plane in the middle of what is known, for a camera of which nobody knows where it is."""
+    latitudes, longitudes = (
+        [scene.control_points.latitude_deg],
+        [scene.control_points.longitude_deg],
+    )
+    for recording in scene.recordings:
+        if recording.fixes_path is not None and recording.boxes_path is not None:
+            fixes = recording.fixes()
+            latitudes.append(fixes.latitude_deg)
+            longitudes.append(fixes.longitude_deg)
+    if not sum(map(len, latitudes)):
+        raise FitError(
+            f"{scene.path}: nothing says where on the earth the scene is; give [camera] "
+            "latitude_deg and longitude_deg, a log (fixes) with boxes, or [[control_points]]"
+        )
+    return LocalPlane(
+        float(np.median(np.concatenate(latitudes))), float(np.median(np.concatenate(longitudes)))
+    )
 
 
 def scene_pairs(
@@ -21,7 +90,6 @@ def scene_pairs(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     extra: Mapping[str, Boxes] | None = None,
-    levelled: Callable[[str, Boxes], Boxes] | None = None,
 ) -> Pairs:
     """The pairs of all recordings that have boxes and a log.
 
@@ -33,7 +101,6 @@ def scene_pairs(
         plane: The plane of the places.
         largest_gap_s: A box counts where the fixes on either side are at most this far apart.
         extra: Further boxes of the logged target, from another source, by recording.
-        levelled: From a recording's name and boxes to the boxes of a camera that did not roll.
 
     Raises:
         FitError: No box has fixes near enough on both sides, though logs overlap recordings.
@@ -50,8 +117,6 @@ def scene_pairs(
         if extra and recording.name in extra:
             boxes = Boxes.concatenate([boxes, extra[recording.name]])
         asked = len(boxes)
-        if levelled is not None:
-            boxes = levelled(recording.name, boxes)
         place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
         if len(boxes) and not place.matched.any():
             silent.append(recording)

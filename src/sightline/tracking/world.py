@@ -20,14 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.platform import Platform, on_earth
+from sightline.platform import Platform
 from sightline.tracking.image import ImagePlane, ImageTrackerSettings
 from sightline.tracking.plane import Columns
 from sightline.tracking.targets import TargetTracker
 from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions
 
 Locate = Callable[[Boxes], Positions]
-"""Where boxes lie, as `Georeferencer.locate` says it."""
+"""Where boxes lie on the earth, as `Georeferencer.locate` says it."""
 
 _NEAREST_M = 1.0
 _OWN_SHARE = 0.05
@@ -94,7 +94,6 @@ class WorldPlane:
         eye = np.zeros((len(boxes), 2))
         if self._platform is not None:
             pose = self._platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
-            positions = on_earth(positions, pose)
             eye = np.nan_to_num(pose.en_m)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)

@@ -19,7 +19,8 @@ from sightline.georeferencing.paper.gaussian_process import GaussianProcessRegre
 from sightline.georeferencing.paper.neural import NeuralNetworkRegression
 from sightline.georeferencing.paper.quadratic import QuadraticKernelRegression
 from sightline.georeferencing.paper.two_layer import TwoLayerRegressor
-from sightline.types import FloatArray, check_boxes
+from sightline.georeferencing.placement import Placement
+from sightline.types import FloatArray, StrArray, check_boxes
 
 PAPER_MODELS = ("nn", "gpr", "qkr", "qkr+nn", "qkr+gpr")
 """The names that `paper_model` knows."""
@@ -125,6 +126,19 @@ class PaperModel:
         normalised, covariance = with_covariance(self.estimator, self._normalised_centres(boxes))
         scale = self._distance_scale_m
         return normalised * scale, covariance * np.outer(scale, scale)
+
+    camera = None
+    """The paper's models go from a box to a place, and know of no camera."""
+    camera_fit = None
+    reference_sigma_m = 0.0
+    """They do not tell a log's lasting error from a box's."""
+
+    def locate(
+        self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
+    ) -> Placement:
+        """As `predict`; sources and water levels mean nothing to it."""
+        del source, above_m
+        return Placement(*self.predict(boxes_xyxy_px))
 
     def state(self) -> tuple[Arrays, Settings]:
         """What `from_state` needs to predict the same: arrays, and the rest as JSON can hold it."""
