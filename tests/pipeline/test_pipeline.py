@@ -15,9 +15,9 @@ from sightline.formats import write_boxes
 from sightline.geodesy import LocalPlane
 from sightline.pipeline import sources
 from sightline.pipeline.evaluate import leave_one_out, place_boxes
-from sightline.pipeline.track import TrackSettings
+from sightline.pipeline.track import TrackSettings, _OpenTracks
 from sightline.simulation.simulate import Simulation, simulate
-from sightline.types import Boxes, FloatArray, Frame, Positions, Track
+from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, Positions, Track
 from sightline.video import write_video
 
 START_S = 1_700_000_000.0
@@ -185,6 +185,28 @@ def test_a_long_track_is_cut(
     np.testing.assert_allclose(
         np.concatenate([one.time_utc_s for one in pieces]), boxes.time_utc_s, atol=1e-3
     )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_tracks_of_many_moments_end_as_of_one_after_the_other(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = 600
+    times = np.sort(rng.choice(np.arange(200.0), n))
+    # Targets come, go for longer than the limit, come back, and stay too long.
+    here = rng.integers(1, 8, n) + 7 * (times // 60.0).astype(int) * rng.integers(0, 2, n)
+    boxes = Boxes.of(
+        np.tile([0.0, 0.0, 5.0, 5.0], (n, 1)), time_utc_s=times, track_id=here, frame=np.arange(n)
+    )
+    settings = TrackSettings(ends_after_s=6.0, longest_s=30.0)
+    moments = [boxes[boxes.time_utc_s == time] for time in np.unique(times)]
+    cuts = np.searchsorted(times, [50.0, 51.0, 120.0])
+    parts = [boxes[rows] for rows in np.split(np.arange(n), cuts)]
+    expected = list(_OpenTracks(settings, NO_TRACK).ended(moments))
+    got = list(_OpenTracks(settings, NO_TRACK).ended_by_moment(parts))
+    assert len(expected) > 20
+    assert [number for number, _ in got] == [number for number, _ in expected]
+    for (_, some), (_, others) in zip(got, expected, strict=True):
+        np.testing.assert_array_equal(some.frame, others.frame)
 
 
 def test_boxes_of_which_no_two_are_of_one_time_are_of_one_target(tmp_path: Path) -> None:

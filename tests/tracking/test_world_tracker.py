@@ -201,6 +201,44 @@ def test_a_run_that_is_resumed_gives_the_ids_of_one_that_was_not(kind: str) -> N
     assert json.loads(json.dumps(new().state(), allow_nan=False)) == new().state()
 
 
+@pytest.mark.parametrize("kind", ["image", "world"])
+def test_many_moments_at_once_get_the_ids_of_one_after_the_other(kind: str) -> None:
+    def new() -> TargetTracker:
+        return ImageTracker() if kind == "image" else WorldTracker(locate)
+
+    rng = np.random.default_rng(6)
+    moments = []
+    for i in range(150):
+        here = [box_of(-50.0 + 0.4 * i, 90.0), box_of(50.0 - 0.5 * i, 140.0), box_of(0.0, 40.0)]
+        kept = rng.random(3) < 0.8
+        # Some have no place: they are above the horizon.
+        high = [[300.0 + i, 20.0, 340.0 + i, 50.0]]
+        noisy = np.array(here)[kept] + rng.normal(0.0, 0.5, (int(kept.sum()), 4))
+        sure = rng.uniform(0.2, 1.0, len(noisy) + 1)
+        moments.append(
+            Boxes.of(np.concatenate([noisy, high]), time_utc_s=1e9 + 0.1 * i, confidence=sure)
+        )
+    one, several = new(), new()
+    expected = Boxes.concatenate([one.update(boxes) for boxes in moments])
+    got = Boxes.concatenate(
+        [several.follow(Boxes.concatenate(part)) for part in (moments[:70], moments[70:])]
+    )
+    assert np.unique(expected.track_id).size >= 3
+    np.testing.assert_array_equal(got.track_id, expected.track_id)
+    np.testing.assert_array_equal(got.xyxy_px, expected.xyxy_px)
+    assert several.state() == one.state()
+
+
+def test_moments_in_no_order_are_refused() -> None:
+    tracker = ImageTracker()
+    two = Boxes.of([box_of(0.0, 50.0)] * 2, time_utc_s=[2.0, 1.0])
+    with pytest.raises(InputError, match="in no order"):
+        tracker.follow(two)
+    tracker.follow(two[[1, 0]])
+    with pytest.raises(InputError, match="1 s before"):
+        tracker.follow(two[[1]])
+
+
 @pytest.mark.parametrize(
     "spoil",
     [

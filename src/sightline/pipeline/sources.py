@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -164,17 +165,29 @@ def timed(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -
     return boxes
 
 
-def moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
-    """The boxes of one time after another, though those of one time may come in two batches."""
+def whole_moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
+    """The boxes of one time or of several, each time whole, in the order of time.
+
+    Those of one time may come in two batches, so the last time of a batch waits for the next.
+    """
     waiting: list[Boxes] = []
     for batch in batches:
         if not len(batch):
             continue
         boxes = Boxes.concatenate([*waiting, batch])
         order = np.argsort(boxes.time_utc_s, kind="stable")
-        cuts = np.flatnonzero(np.diff(boxes.time_utc_s[order]) > 0.0) + 1
-        *whole, last = np.split(order, cuts)
-        for rows in whole:
-            yield boxes[rows]
-        waiting = [boxes[last]]
+        boxes = boxes[order]
+        # A time that is none is last, and is told by whoever needs it.
+        last = int(np.searchsorted(boxes.time_utc_s, boxes.time_utc_s[-1]))
+        if last:
+            yield boxes[:last]
+        waiting = [boxes[last:]]
     yield from waiting
+
+
+def moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
+    """The boxes of one time after another, though those of one time may come in two batches."""
+    for boxes in whole_moments(batches):
+        cuts = np.flatnonzero(np.diff(boxes.time_utc_s) > 0.0) + 1
+        for start, stop in itertools.pairwise([0, *cuts.tolist(), len(boxes)]):
+            yield boxes[start:stop]

@@ -27,15 +27,25 @@ from sightline.pipeline.sources import (
     read_table,
     refuse_seldom,
     timed,
+    whole_moments,
 )
 from sightline.platform import Platform, moved_track, north_up
 from sightline.progress import Progress
-from sightline.tracking import ImageTracker, Tracker, WorldTracker
+from sightline.tracking import ImageTracker, TargetTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.trajectory.forecast import follow as follow_motion
-from sightline.types import NO_TRACK, Boxes, EastNorthPositions, FloatArray, Horizons, Track
+from sightline.types import (
+    NO_TRACK,
+    Boxes,
+    EastNorthPositions,
+    FloatArray,
+    Horizons,
+    LocatedBoxes,
+    Positions,
+    Track,
+)
 from sightline.video.reader import frame_count
 from sightline.water import WaterLevels
 
@@ -45,6 +55,7 @@ ON_BOARD_LASTING_S = 1.3
 """How long errors of boxes last on a vessel under way: heave, for a fourth of a wave's period."""
 
 _MOST_PARTS = 256
+_MOST_UNSORTED = 10_000
 _LEAST_INTERVAL_S = 0.001
 _MOST_FORECASTS = 100_000
 _LOOKED_AT_BOXES = 1000
@@ -259,12 +270,18 @@ def follow(
     """
     standing = standing or Standing()
     first_s: list[float] = []
+    book = _OpenTracks(settings, highest_id)
     if highest_id == NO_TRACK:
         batches = _followed(batches, first_s, _tracker(model, standing, platform))
-    book = _OpenTracks(settings, highest_id)
+        ended = book.ended_by_moment(batches)
+    else:
+        ended = book.ended(batches)
     count = 0
-    for number, boxes in book.ended(batches):
+    for number, seen in ended:
         conditions = standing.conditions
+        boxes = seen
+        if platform is None:
+            boxes = LocatedBoxes.at(seen, conditions.locate(seen, model))
         made = smooth_boxes(
             boxes,
             model,
@@ -312,17 +329,18 @@ def _forecast(
 
 
 def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) -> Iterator[Boxes]:
-    """Boxes with the ids that a tracker gives them; the boxes of one time after another.
+    """Boxes with the ids that a tracker gives them, in the order of time.
 
     Args:
         batches: In the order of time from one to the next.
         first_s: Is given the first of their times.
         tracker: Gives the ids.
     """
-    for boxes in moments(batches):
+    several = tracker.follow if isinstance(tracker, TargetTracker) else None
+    for boxes in moments(batches) if several is None else whole_moments(batches):
         if len(first_s) < _LOOKED_AT_BOXES:
-            first_s.append(float(boxes.time_utc_s[0]))
-        yield tracker.update(boxes)
+            first_s += np.unique(boxes.time_utc_s)[: _LOOKED_AT_BOXES - len(first_s)].tolist()
+        yield tracker.update(boxes) if several is None else several(boxes)
 
 
 class _OpenTracks:
@@ -334,6 +352,8 @@ class _OpenTracks:
         self._spare = itertools.count(max(highest_id, 0) + 1)
         self._used: set[int] = set()
         self._parts: dict[int, list[Boxes]] = {}
+        self._unsorted: list[Boxes] = []
+        self._unsorted_rows = 0
         self._first_s: dict[int, float] = {}
         self._last_s: dict[int, float] = {}
 
@@ -341,7 +361,18 @@ class _OpenTracks:
         """Take boxes with ids, and give back the boxes of each target when it has gone."""
         for batch in batches:
             yield from self._add(batch)
-        for key in list(self._parts):
+        for key in list(self._first_s):
+            yield self._end(key)
+
+    def ended_by_moment(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """As `ended`, where each moment is a batch of its own.
+
+        Args:
+            batches: In the order of time, each moment whole, all boxes with ids.
+        """
+        for batch in batches:
+            yield from self._add_moments(batch)
+        for key in list(self._first_s):
             yield self._end(key)
 
     def _add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
@@ -350,17 +381,65 @@ class _OpenTracks:
         ended: list[tuple[int, Boxes]] = []
         batch = batch[np.argsort(batch.time_utc_s, kind="stable")]
         for key in np.unique(batch.track_id[batch.track_id != NO_TRACK]).tolist():
-            own = batch[batch.track_id == key]
+            own = batch[np.flatnonzero(batch.track_id == key)]
             while len(own):
                 rows = self._until_cut(key, own.time_utc_s)
                 if rows:
+                    self._first_s.setdefault(key, float(own.time_utc_s[0]))
+                    self._last_s[key] = float(own.time_utc_s[rows - 1])
                     self._take(key, own[:rows])
                     own = own[rows:]
                 if len(own):
                     ended.append(self._end(key))
-        now = float(batch.time_utc_s[-1])
+        return ended + self._end_the_gone(float(batch.time_utc_s[-1]))
+
+    def _add_moments(self, batch: Boxes) -> list[tuple[int, Boxes]]:
+        """As `_add` of one moment after another: by hand, since each is of a few boxes."""
+        ended: list[tuple[int, Boxes]] = []
+        longest_s, gap_s = self._settings.longest_s, self._settings.ends_after_s
+        first, last = self._first_s, self._last_s
+        times, ids = batch.time_utc_s, batch.track_id.tolist()
+        cuts = (np.flatnonzero(np.diff(times) > 0.0) + 1).tolist()
+        kept = 0
+        for start, stop in itertools.pairwise([0, *cuts, len(batch)] if ids else []):
+            now = float(times[start])
+            for key in sorted(set(ids[start:stop])):
+                if key in last and (now - last[key] > gap_s or now - first[key] > longest_s):
+                    self._put_by(batch, kept, start)
+                    kept = start
+                    ended.append(self._end(key))
+                first.setdefault(key, now)
+                last[key] = now
+            if now - min(last.values()) > gap_s:
+                self._put_by(batch, kept, stop)
+                kept = stop
+                ended += self._end_the_gone(now)
+        self._put_by(batch, kept, len(batch))
+        return ended
+
+    def _end_the_gone(self, now_s: float) -> list[tuple[int, Boxes]]:
         limit = self._settings.ends_after_s
-        return ended + [self._end(k) for k in list(self._parts) if now - self._last_s[k] > limit]
+        return [self._end(k) for k in list(self._first_s) if now_s - self._last_s[k] > limit]
+
+    def _put_by(self, batch: Boxes, start: int, stop: int) -> None:
+        """Keep rows, to be sorted by track with others."""
+        if start < stop:
+            self._unsorted.append(batch[start:stop])
+            self._unsorted_rows += stop - start
+        if len(self._unsorted) >= _MOST_PARTS or self._unsorted_rows >= _MOST_UNSORTED:
+            self._sort()
+
+    def _sort(self) -> None:
+        """Give all boxes that were put by to their tracks."""
+        if not self._unsorted:
+            return
+        boxes = Boxes.concatenate(self._unsorted)
+        self._unsorted.clear()
+        self._unsorted_rows = 0
+        order = np.argsort(boxes.track_id, kind="stable")
+        ids = boxes.track_id[order]
+        for rows in np.split(order, np.flatnonzero(np.diff(ids)) + 1):
+            self._take(int(boxes.track_id[rows[0]]), boxes[rows])
 
     def _until_cut(self, key: int, times_s: FloatArray) -> int:
         """How many of the next boxes still belong to the open track of a target."""
@@ -376,10 +455,9 @@ class _OpenTracks:
         if len(parts) == _MOST_PARTS:
             # A table of one row is a hundred times its row.
             parts[:] = [Boxes.concatenate(parts)]
-        self._first_s.setdefault(key, float(boxes.time_utc_s[0]))
-        self._last_s[key] = float(boxes.time_utc_s[-1])
 
     def _end(self, key: int) -> tuple[int, Boxes]:
+        self._sort()
         del self._first_s[key], self._last_s[key]
         return self._number(key), Boxes.concatenate(self._parts.pop(key))
 
@@ -414,6 +492,10 @@ def check_platform(model: Georeferencer, platform: Platform | None, where: str =
         )
 
 
+def _positions(boxes: Boxes, model: Georeferencer, conditions: Conditions) -> Positions:
+    return boxes.positions if isinstance(boxes, LocatedBoxes) else conditions.locate(boxes, model)
+
+
 def states(
     boxes: Boxes,
     model: Georeferencer,
@@ -428,7 +510,7 @@ def states(
     A camera that moves was where its own log says by its fixes until then.
 
     Args:
-        boxes: Of one target, levelled.
+        boxes: Of one target, levelled. Those that are located stay where they are.
         model: Says where they lie.
         platform: What the camera stands on, where that moves.
         conditions: How the camera lay, and how high the water stood.
@@ -438,14 +520,15 @@ def states(
     Returns:
         None where no box has a place.
     """
-    positions = conditions.locate(boxes, model, platform, until_then=True)
     if platform is None:
+        positions = _positions(boxes, model, conditions)
         if not positions.known.any():
             return None
         return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
     motion = motion or MotionModel()
     motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
     pose = platform.pose(boxes.time_utc_s, model.plane, until_then=True)
+    positions = model.locate(boxes.xyxy_px, boxes.source, pose=pose)
     if not positions.known.any():
         return None
     followed = follow_motion(
@@ -468,11 +551,12 @@ def smooth_boxes(
 ) -> Track | None:
     """The smooth track of one target's boxes; None where they have positions for too short.
 
-    Before a moving camera the path relative to it is smoothed, and then put where the camera was.
+    Boxes that are located stay where they are. Before a moving camera the path relative to it is
+    smoothed, and then put where the camera was.
     """
     positions: EastNorthPositions
     if platform is None:
-        positions = (conditions or Conditions()).locate(boxes, model)
+        positions = _positions(boxes, model, conditions or Conditions())
     else:
         body = model.locate_body(boxes.xyxy_px, boxes.source)
         positions = north_up(body, platform.pose(boxes.time_utc_s, model.plane))
