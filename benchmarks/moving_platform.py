@@ -37,12 +37,12 @@ from sightline.evaluation.tracking import score_tracking
 from sightline.formats import read_boxes
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL
-from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.camera_state import recording_history
 from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes
 from sightline.pipeline.fit import fit
 from sightline.pipeline.sources import moments
+from sightline.pipeline.track import positions_on_earth
 from sightline.scene import Recording, Scene
-from sightline.scene.camera_state import scene_horizons
 from sightline.simulation import Simulation, simulate
 from sightline.simulation.harbour import ReceiverNoise
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
@@ -104,20 +104,20 @@ def camera_line(seed: int, model: Georeferencer, simulation: Simulation) -> str:
 
 def tracked(model: Georeferencer, recording: Recording, folder: Path, found: Found) -> None:
     """Both trackers on the boxes of all boats."""
-    horizons, clock = scene_horizons(recording), recording.clock()
+    history, clock = recording_history(recording, model), recording.clock()
     platform = recording.platform()
     assert platform is not None, "every recording has a platform"
 
     def levelled(name: str) -> Boxes:
         boxes = read_boxes(folder / name / f"{recording.name}.csv", skip_empty=True)
         timed = boxes.with_columns(time_utc_s=clock.time_utc_s(boxes.frame))
-        return model.level(timed, horizons)
+        return model.place(history.observed(timed))
 
     truth, seen = levelled("truth-boxes"), levelled("detections")
     seen = seen.with_columns(track_id=np.full(len(seen), NO_TRACK))
     trackers: dict[str, Tracker] = {"image": ImageTracker()}
     trackers["earth"] = WorldTracker(
-        partial(Conditions().locate, model=model, platform=platform, until_then=True),
+        partial(positions_on_earth, platform=platform, until_then=True),
         platform=platform,
     )
     for name, tracker in trackers.items():

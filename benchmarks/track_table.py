@@ -24,11 +24,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from sightline.inference.georeferencer import Georeferencer
 
 import sightline
 from sightline import formats
-from sightline.pipeline import TrackSettings, iter_tracks, smooth_boxes
+from sightline.camera.state import CameraHistory
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.track import TrackSettings, iter_tracks, positions_on_earth, smooth_boxes
 from sightline.scene import Scene
 from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
 from sightline.tracking import WorldTracker
@@ -124,8 +125,9 @@ def stages(world: World, out: Path) -> tuple[dict[str, float], int]:
     watch = Watch()
     model = watch.run("loading the model", lambda: sightline.load(world.model))
     boxes = watch.run("reading", lambda: formats.read_boxes(world.boxes))
-    tracker = WorldTracker(lambda seen: model.locate(seen.xyxy_px, seen.source))
-    moments = list(_moments(boxes))
+    tracker = WorldTracker(positions_on_earth)
+    located = watch.run("placing", lambda: model.place(CameraHistory().observed(boxes)))
+    moments = list(_moments(located))
     found = watch.run("following", lambda: [tracker.update(moment) for moment in moments])
     followed = Boxes.concatenate(found)
     own = [followed[followed.track_id == i] for i in np.unique(followed.track_id)]
@@ -133,7 +135,7 @@ def stages(world: World, out: Path) -> tuple[dict[str, float], int]:
 
     def smoothed() -> list[Track]:
         made = (
-            smooth_boxes(one, model, smoother, settings, track_id=i + 1, shortest_s=2.0)
+            smooth_boxes(one, smoother, settings, track_id=i + 1, shortest_s=2.0)
             for i, one in enumerate(own)
         )
         return [track for track in made if track is not None]
@@ -183,11 +185,11 @@ def crowd(model: Georeferencer, rng: np.random.Generator) -> list[Boxes]:
 
 def following_ms(model: Georeferencer) -> FloatArray:
     """Milliseconds of each frame of a hundred targets, once they are confirmed."""
-    tracker = WorldTracker(lambda seen: model.locate(seen.xyxy_px, seen.source))
+    tracker = WorldTracker(positions_on_earth)
     taken = []
     for moment in crowd(model, np.random.default_rng(0)):
         started = time.perf_counter()
-        tracker.update(moment)
+        tracker.update(model.place(CameraHistory().observed(moment)))
         taken.append(time.perf_counter() - started)
     return 1e3 * np.array(taken[10:])
 

@@ -23,8 +23,8 @@ from harbour_crowd import RATE_HZ, Crowd, crowd, learned
 
 from sightline.evaluation.tracking import score_tracking
 from sightline.geodesy import LocalPlane
+from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.overlap import iou
-from sightline.pipeline.conditions import Conditions
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.types import Boxes, Positions
 
@@ -109,6 +109,10 @@ def check(truth: Boxes, found: Boxes) -> float | None:
     )
 
 
+def locate(model: Georeferencer, boxes: Boxes) -> Positions:
+    return model.locate(boxes.xyxy_px, boxes.source)
+
+
 def quality(seeds: range) -> None:
     beside = others()
     rows: dict[str, list[list[float]]] = {}
@@ -118,9 +122,7 @@ def quality(seeds: range) -> None:
         model = learned(scene, seed)
         found = {name: theirs(make, scene) for name, make in beside.items()}
         found["sightline, image"] = ours(ImageTracker(), scene)
-        found["sightline, world"] = ours(
-            WorldTracker(partial(Conditions().locate, model=model)), scene
-        )
+        found["sightline, world"] = ours(WorldTracker(partial(locate, model)), scene)
         for name, boxes in found.items():
             score = score_tracking(scene.truth, boxes)
             rows.setdefault(name, []).append([float(getattr(score, c)) for c in COLUMNS])

@@ -18,7 +18,7 @@ import numpy as np
 
 import sightline
 from sightline import Georeferencer, Scene
-from sightline.pipeline.camera_state import StandingWatch, recording_conditions
+from sightline.pipeline.camera_state import CameraMotionMonitor, recording_history
 from sightline.pipeline.evaluate import place_boxes
 from sightline.simulation import Knock, simulate
 from sightline.simulation.harbour import START_UTC_S
@@ -70,22 +70,21 @@ def main() -> None:
             knock = Knock(TURNED_S, *turn.tolist())
             turned = world(Path(folder) / "turned", seed, knock)
             model = sightline.fit(still.select(["01"]), "camera")
-            alarms += recording_conditions(still["02"], model).turns is not None
+            alarms += recording_history(still["02"], model).rotation is not None
             own = errors(still, model)
             # The pictures of the two worlds are not drawn alike: each has its own view.
             model = sightline.fit(turned.select(["01"]), "camera")
-            watch = StandingWatch(model)
-            for frame in turned["02"].frames():
-                watch.look(frame)
-            late += [one.time_utc_s - TURNED_S for one in watch.noticed]
-            found = recording_conditions(turned["02"], model).turns
+            watch = CameraMotionMonitor(model)
+            noticed = [turn for frame in turned["02"].frames() if (turn := watch.observe(frame))]
+            late += [one.time_utc_s - TURNED_S for one in noticed]
+            found = recording_history(turned["02"], model).rotation
             if found is not None:
                 off_deg.append(np.abs(found.angles_deg[-1] - turn).max())
             unwatched = replace(turned, camera=replace(turned.camera, watched=False))
             trio = (own, errors(turned, model), errors(unwatched, model))
         for name, values in zip(parts, trio, strict=True):
             parts[name].append(values)
-        said = f"{late[-1]:.1f} s after" if watch.noticed else "not noticed"
+        said = f"{late[-1]:.1f} s after" if noticed else "not noticed"
         print(
             f"seed {seed:2d}: {said}; RMSE after the turn, m:",
             *(f"{name} {rms(values):.1f}" for name, values in zip(parts, trio, strict=True)),

@@ -102,5 +102,5 @@ def test_boxes_that_were_moved_have_no_positions_any_more() -> None:
 
 def test_boxes_need_a_position_each() -> None:
     boxes = some_boxes()
-    with pytest.raises(InputError, match="6 boxes and 5 positions"):
+    with pytest.raises(InputError, match="6 boxes and 5 rows of positions"):
         LocatedBoxes.at(boxes, places(boxes)[:5])

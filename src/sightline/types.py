@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -83,7 +83,7 @@ def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[i
     object.__setattr__(table, name, array)
 
 
-class _Columns:
+class Columns:
     """What the tables share: selection of rows."""
 
     _row_fields: tuple[str, ...] = ()
@@ -123,15 +123,18 @@ class Frame:
         index: Number of the frame in its recording, from 0.
         time_utc_s: POSIX seconds; NaN if the recording does not tell.
         image_bgr: (H, W, 3) uint8, blue, green, red.
+        horizon_px: Rows of the horizon at the left and the right edge; None where it was not looked
+            for, or not found.
     """
 
     index: int
     time_utc_s: float
     image_bgr: NDArray[np.uint8]
+    horizon_px: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Boxes(_Columns):
+class Boxes(Columns):
     """Boxes in the image, one a row, in any order.
 
     Attributes:
@@ -232,7 +235,7 @@ class Boxes(_Columns):
         )
 
     @classmethod
-    def concatenate(cls, tables: list[Boxes]) -> Boxes:
+    def concatenate(cls, tables: Sequence[Boxes]) -> Boxes:
         """One table with the rows of all, in their order, located if all of them are."""
         if not tables:
             return cls.of(np.empty((0, 4)))
@@ -303,7 +306,7 @@ def _row(values: FloatArray) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Fixes(_Columns):
+class Fixes(Columns):
     """The log of one vessel or vehicle: where it was, in the order of time.
 
     Attributes:
@@ -345,7 +348,7 @@ class Fixes(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Headings(_Columns):
+class Headings(Columns):
     """Where the bow of a platform pointed, in the order of time.
 
     Attributes:
@@ -375,7 +378,7 @@ class Headings(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Horizons(_Columns):
+class Horizons(Columns):
     """The horizon in the frames of a recording, in the order of time.
 
     It is the straight line that fits it best over the width of the image, since lenses bend it.
@@ -409,7 +412,7 @@ class Horizons(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class ControlPoints(_Columns):
+class ControlPoints(Columns):
     """Pixels whose place on the earth is known: a buoy, the corner of a pier, a road marking.
 
     Attributes:
@@ -439,7 +442,7 @@ class ControlPoints(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class EastNorthPositions(_Columns):
+class EastNorthPositions(Columns):
     """Metres east and north of an origin, with covariance, one row a box.
 
     What the origin is, the two types that are made of it say: `Positions` and `PlatformPositions`.
@@ -507,7 +510,7 @@ class PlatformPositions(EastNorthPositions):
 
 
 @dataclass(frozen=True, eq=False)
-class BodyPositions(_Columns):
+class BodyPositions(Columns):
     """Where boxes lie in the body frame of a platform: to starboard and ahead of it.
 
     They have no latitude before it is known where the platform was and how it pointed.
@@ -560,68 +563,82 @@ def _freeze_places(table: Any, first: str, second: str) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class LocatedBoxes(Boxes):
-    """Boxes with their positions, which go with them through selection and concatenation.
+class BoxesWith(Boxes):
+    """Boxes with a table of as many rows that goes with them.
 
-    Attributes:
-        positions: N rows, as `Georeferencer.locate` has them.
-
-    Raises:
-        InputError: There is not one position a box.
+    Selection and concatenation take it along. A subclass has the table as its one field more.
     """
 
-    positions: Positions
+    _companion = ""
+    _stale_with: ClassVar[frozenset[str]] = frozenset()
+    """With other values in these columns of the boxes the table holds no longer."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.positions) != len(self):
-            raise InputError(
-                f"{len(self)} boxes and {len(self.positions)} positions; each needs one"
-            )
+        _check_rows(self, getattr(self, self._companion), self._companion)
 
     @classmethod
-    def at(cls, boxes: Boxes, positions: Positions) -> LocatedBoxes:
-        """Boxes with the positions that were found for them.
+    def at(cls, boxes: Boxes, table: Any) -> Self:
+        """Boxes with their table.
 
         Args:
             boxes: N rows.
-            positions: N rows.
+            table: N rows.
 
         Raises:
-            InputError: There is not one position a box.
+            InputError: There is not one row a box.
         """
-        if len(positions) != len(boxes):
-            raise InputError(f"{len(boxes)} boxes and {len(positions)} positions; each needs one")
-        located = object.__new__(cls)
-        located.__dict__.update(boxes.__dict__, positions=positions)
-        return located
+        _check_rows(boxes, table, cls._companion)
+        made = object.__new__(cls)
+        made.__dict__.update({name: getattr(boxes, name) for name in Boxes._row_fields})
+        made.__dict__[cls._companion] = table
+        return made
 
     def __getitem__(self, rows: Any) -> Self:
         """See `Boxes`."""
         chosen = super().__getitem__(rows)
-        chosen.__dict__["positions"] = self.positions[rows]
+        chosen.__dict__[self._companion] = getattr(self, self._companion)[rows]
         return chosen
 
     @classmethod
     def _joined(cls, tables: Sequence[Any]) -> Boxes:
-        positions = [table.positions for table in tables]
-        columns = _joined_columns(positions, Positions._row_fields)
+        parts = [getattr(table, cls._companion) for table in tables]
+        columns = _joined_columns(parts, parts[0]._row_fields)
         joined = tables[0]._unchecked(_joined_columns(tables, Boxes._row_fields))
-        joined.__dict__["positions"] = positions[0]._unchecked(columns)
+        joined.__dict__[cls._companion] = parts[0]._unchecked(columns)
         return joined  # type: ignore[no-any-return]
 
     def with_columns(self, **columns: ArrayLike) -> Boxes:
-        """See `Boxes`; with other corners, times or sources they are no longer located."""
-        if columns.keys() & {"xyxy_px", "time_utc_s", "source"}:
+        """See `Boxes`; the table is left behind where it holds no longer."""
+        if columns.keys() & self._stale_with:
             return self.boxes.with_columns(**columns)
         return super().with_columns(**columns)
 
     @property
     def boxes(self) -> Boxes:
-        """The same without their positions."""
+        """The boxes alone."""
         plain = object.__new__(Boxes)
         plain.__dict__.update({name: getattr(self, name) for name in Boxes._row_fields})
         return plain
+
+
+def _check_rows(boxes: Boxes, table: Any, name: str) -> None:
+    if len(table) != len(boxes):
+        raise InputError(f"{len(boxes)} boxes and {len(table)} rows of {name}; each needs one")
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedBoxes(BoxesWith):
+    """Boxes with their positions.
+
+    Attributes:
+        positions: N rows, as `Georeferencer.locate` or `Georeferencer.locate_body` has them.
+    """
+
+    positions: Positions | BodyPositions
+
+    _companion = "positions"
+    _stale_with = frozenset({"xyxy_px", "time_utc_s", "source"})
 
 
 class PointKind(IntEnum):
@@ -633,7 +650,7 @@ class PointKind(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Track(_Columns):
+class Track(Columns):
     """The smooth path of one target, one row a point in time.
 
     Attributes:

@@ -17,7 +17,7 @@ from sightline import Georeferencer, Scene
 from sightline.camera.motion import CameraMotionWatch
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
-from sightline.camera.rotation import Turns, seen_again
+from sightline.camera.rotation import CameraRotation, compensate_rotation, seen_again, widen
 from sightline.camera.static_intervals import StanceWatch
 from sightline.errors import InputError, ModelFileError
 from sightline.geodesy import LocalPlane
@@ -43,11 +43,11 @@ def turned(camera: Camera) -> Camera:
     )
 
 
-def turns(covariance_rad2: np.ndarray | None = None) -> Turns:
+def turns(covariance_rad2: np.ndarray | None = None) -> CameraRotation:
     """The camera as the model knows it until 100 s, and turned from 101 s on."""
     rotation = Rotation.from_matrix(turned(LENS).rotation @ LENS.rotation.T).as_rotvec()
     covariance = np.zeros((3, 3)) if covariance_rad2 is None else covariance_rad2
-    return Turns(
+    return CameraRotation(
         before_utc_s=np.array([-np.inf, 100.0]),
         since_utc_s=np.array([-np.inf, 101.0]),
         rotation_rad=np.array([np.zeros(3), rotation]),
@@ -67,15 +67,20 @@ def boxes_at(foot: np.ndarray, time_utc_s: float) -> Boxes:
     return Boxes.of(corners, time_utc_s=time_utc_s)
 
 
+def compensated(boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
+    return compensate_rotation(boxes.xyxy_px, turns().at(boxes.time_utc_s)[0], LENS)
+
+
 def test_a_box_after_the_turn_is_where_it_would_be_without() -> None:
     seen = turned(LENS).project(*places())
     true = LENS.project(*places())
     assert np.abs(seen - true).max() > 10.0
-    levelled = turns().level(boxes_at(seen, 101.0)).xyxy_px
+    levelled, known = compensated(boxes_at(seen, 101.0))
+    assert known.all()
     foot = np.stack([levelled[:, [0, 2]].mean(axis=1), levelled[:, 3]], axis=1)
     np.testing.assert_allclose(foot, true, atol=1e-6)
     before = boxes_at(true, 99.0)
-    np.testing.assert_allclose(turns().level(before).xyxy_px, before.xyxy_px, atol=1e-9)
+    np.testing.assert_allclose(compensated(before)[0], before.xyxy_px, atol=1e-9)
 
 
 def test_angles_are_those_of_the_camera() -> None:
@@ -87,7 +92,7 @@ def test_boxes_of_which_nobody_knows_whether_they_come_after_are_left_out() -> N
     boxes = boxes_at(LENS.project(*places())[:4], 0.0).with_columns(
         time_utc_s=[100.0, 100.1, 100.9, 101.0]
     )
-    assert turns().level(boxes).time_utc_s.tolist() == [100.0, 101.0]
+    assert boxes.time_utc_s[compensated(boxes)[1]].tolist() == [100.0, 101.0]
 
 
 def test_what_is_not_known_of_a_turn_is_in_the_ellipse_as_samples_say() -> None:
@@ -96,7 +101,8 @@ def test_what_is_not_known_of_a_turn_is_in_the_ellipse_as_samples_say() -> None:
     foot = LENS.project(east, north)
     zero = np.zeros((east.size, 2, 2))
     exact = Positions(east, north, zero, np.zeros(east.size, bool), LocalPlane(54.0, 10.0), zero)
-    wide = turns(root @ root.T).widened(exact, np.full(east.size, 200.0))
+    found = turns(root @ root.T)
+    wide = widen(exact, found.at(np.full(east.size, 200.0))[1], LENS)
     rng = np.random.default_rng(0)
     found = np.array(
         [
@@ -108,7 +114,7 @@ def test_what_is_not_known_of_a_turn_is_in_the_ellipse_as_samples_say() -> None:
     np.testing.assert_allclose(wide.covariance_m2, sampled, rtol=0.12, atol=0.1)
     assert wide.shared_covariance_m2 is not None
     np.testing.assert_allclose(wide.shared_covariance_m2, wide.covariance_m2)
-    before = turns(root @ root.T).widened(exact, np.full(east.size, 50.0))
+    before = widen(exact, turns(root @ root.T).at(np.full(east.size, 50.0))[1], LENS)
     assert not before.covariance_m2.any()
 
 
@@ -135,7 +141,7 @@ def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: 
     (turn,) = noticed
     assert np.isnan(turn.heading_deg)
     assert 1020.0 < turn.time_utc_s < 1040.0
-    found = Turns.of(watch.stances, level)
+    found = CameraRotation.of(watch.stances, level)
     assert found is not None
     assert found.heading_known.tolist() == [True, False]
     assert found.angles_deg[1, 1:] == pytest.approx([-1.0, 0.0], abs=0.05)
@@ -144,7 +150,7 @@ def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: 
     # The unknown heading makes places unsure across the sight, and by as much as it says.
     zero = np.zeros((1, 2, 2))
     ahead = Positions([0.0], [100.0], zero, [False], LocalPlane(54.0, 10.0), zero)
-    wide = found.widened(ahead, np.array([1039.0])).covariance_m2[0]
+    wide = widen(ahead, found.at(np.array([1039.0]))[1], level).covariance_m2[0]
     assert np.sqrt(wide[0, 0]) == pytest.approx(100.0 * np.radians(1.0), rel=0.1)
 
 
@@ -153,7 +159,7 @@ def test_nothing_is_turned_where_only_waves_move() -> None:
     for seed in range(5):
         watch = CameraMotionWatch((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
         assert [watch.update(f) for f in sea((0.0, 0.0), seed)] == [None] * 40
-        assert Turns.of(watch.stances, level) is None
+        assert CameraRotation.of(watch.stances, level) is None
 
 
 @dataclass(frozen=True)
@@ -332,11 +338,11 @@ def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
     assert fitted.view is not None
     watches = {mirrored: StanceWatch() for mirrored in (False, True)}
     for frame in scene[name].frames(apart_s=1.0):
-        watches[False].look(frame)
-        watches[True].look(replace(frame, image_bgr=frame.image_bgr[:, ::-1].copy()))
+        watches[False].observe(frame)
+        watches[True].observe(replace(frame, image_bgr=frame.image_bgr[:, ::-1].copy()))
     shore = {mirrored: watch.stances for mirrored, watch in watches.items()}
     assert shore[False]
     assert shore[True]
     assert seen_again(fitted.view, shore[False][0].view, fitted.camera)
     assert not seen_again(fitted.view, shore[True][0].view, fitted.camera)
-    assert Turns.of(shore[True], fitted.camera, fitted.view) is None
+    assert CameraRotation.of(shore[True], fitted.camera, fitted.view) is None

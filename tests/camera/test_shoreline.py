@@ -24,7 +24,7 @@ CAMERA = Camera(
 def still_picture(images):
     still = StillPicture()
     for i, image in enumerate(images):
-        still.look(Frame(i, float(i), image))
+        still.observe(Frame(i, float(i), image))
     return still.picture()
 
 

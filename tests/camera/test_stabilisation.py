@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,19 +11,21 @@ import pytest
 import sightline
 from sightline.camera.horizon_line import find_waterline
 from sightline.camera.pinhole import Camera
-from sightline.camera.stabilisation import level
+from sightline.camera.stabilisation import horizons_at, stabilise
+from sightline.camera.state import CameraHistory
 from sightline.cli import main
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.pipeline.evaluate import leave_one_out, place_boxes, score, with_forecasts
+from sightline.pipeline.track import TrackSettings
 from sightline.scene.camera_state import scene_horizons
 from sightline.simulation import Harbour, simulate
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway
 from sightline.synchronisation import synchronise
 from sightline.trajectory.forecast import follow
-from sightline.types import Boxes, Horizons, Positions
+from sightline.types import Boxes, Frame, Horizons, Positions
 
 LENS = {"height_m": 5.0, "heading_deg": 30.0, "k1": -0.12, "k2": 0.02}
 
@@ -67,14 +70,14 @@ def test_a_box_of_a_tilted_hull_is_where_it_would_be_on_a_level_one(pitch_deg, r
         np.hstack([seen - np.array([5.0, 10.0]), seen + np.array([5.0, 0.0])]), time_utc_s=0.0
     )
     line = simulated.horizon_line_px(turn[0])
-    rows, usable = level(
-        boxes,
-        Horizons(np.array([0.0]), line[:1], line[1:]),
+    rows, usable = stabilise(
+        boxes.xyxy_px,
+        horizons_at(Horizons(np.array([0.0]), line[:1], line[1:]), boxes.time_utc_s),
         tuple(simulated.horizon_line_px()),
         camera,
     )
     assert usable.all()
-    foot = np.stack([rows.xyxy_px[:, [0, 2]].mean(axis=1), rows.xyxy_px[:, 3]], axis=1)
+    foot = np.stack([rows[:, [0, 2]].mean(axis=1), rows[:, 3]], axis=1)
     # Up and down it is right; the least rotation does not know the turn about the vertical that a
     # roll of the hull brings along where the camera looks down, so sideways it is a little off.
     np.testing.assert_allclose(foot[:, 1], true[:, 1], atol=0.5)
@@ -85,9 +88,10 @@ def test_boxes_without_a_horizon_near_their_time_are_left_out() -> None:
     camera = Camera(5.0, 2.0, 0.0, 0.0, 900.0, 0.0, 0.0, 0.0, 0.0, (1280, 720))
     boxes = Boxes.of(np.tile([600.0, 400.0, 640.0, 420.0], (3, 1)), time_utc_s=[0.0, 0.1, 5.0])
     horizons = Horizons(np.array([0.0, 0.2, 9.0]), np.full(3, 330.0), np.full(3, 330.0))
-    kept, usable = level(boxes, horizons, (330.0, 330.0), camera)
+    seen_px = horizons_at(horizons, boxes.time_utc_s)
+    moved, usable = stabilise(boxes.xyxy_px, seen_px, (330.0, 330.0), camera)
     assert usable.tolist() == [True, True, False]
-    np.testing.assert_allclose(kept.xyxy_px, boxes.xyxy_px[:2], atol=1e-9)
+    np.testing.assert_allclose(moved[:2], boxes.xyxy_px[:2], atol=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +148,7 @@ def test_a_box_seen_from_a_vessel_has_a_place_on_the_earth_only_with_its_pose(
     boxes, fixes, platform = recording.boxes(), recording.fixes(), recording.platform()
     assert platform is not None
     horizons = recording.horizons()
-    boxes = model.level(boxes, horizons)
+    boxes = model.compensated(CameraHistory(horizons=horizons).observed(boxes))
     with pytest.raises(InputError, match=r"no place on the earth; give the platform's pose"):
         model.locate(boxes.xyxy_px, boxes.source)
     body = model.locate_body(boxes.xyxy_px, boxes.source)
@@ -158,6 +162,66 @@ def test_a_box_seen_from_a_vessel_has_a_place_on_the_earth_only_with_its_pose(
     # Starboard and ahead, taken for east and north, are hundreds of metres off.
     wrong = np.hypot(body.starboard_m - true.east_m, body.ahead_m - true.north_m)
     assert np.nanmedian(wrong) > 5.0 * np.nanmedian(error)
+
+
+class Drawn:
+    """A detector that knows the boxes, and looks at one frame after another."""
+
+    def __init__(self, boxes: Boxes) -> None:
+        self._boxes = boxes
+
+    def detect(self, frame: Frame) -> Boxes:
+        here = self._boxes[self._boxes.frame == frame.index]
+        return here.with_columns(time_utc_s=np.full(len(here), frame.time_utc_s))
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+
+class DrawnByEight(Drawn):
+    """The same, which looks at eight frames at once."""
+
+    batch_size = 8
+
+    def detect_batch(self, frames: Sequence[Frame]) -> list[Boxes]:
+        return [self.detect(frame) for frame in frames]
+
+
+def test_boxes_keep_the_horizon_of_their_own_frame_however_far_the_detector_runs_ahead(
+    tmp_path: Path,
+) -> None:
+    made = simulate(
+        tmp_path,
+        seed=0,
+        recordings=1,
+        duration_s=9.0,
+        rate_hz=4.0,
+        moving=True,
+        image_size_px=(640, 360),
+    )
+    scene = sightline.Scene.load(made.scene)
+    (recording,) = scene.recordings
+    model = sightline.fit(scene, "camera")
+    assert model.horizon_px is not None
+
+    def tracked(detector: Drawn) -> list[sightline.Track]:
+        source = recording.video_path
+        assert source is not None
+        found = sightline.track(
+            source,
+            model,
+            detector=detector,
+            clock=recording.clock(),
+            platform=recording.platform(),
+            settings=TrackSettings(shortest_s=0.0),
+        )
+        return list(found)
+
+    (one,) = tracked(Drawn(recording.boxes()))
+    (by_eight,) = tracked(DrawnByEight(recording.boxes()))
+    assert len(one) > 20
+    for column in ("time_utc_s", "east_m", "north_m", "covariance_m2"):
+        np.testing.assert_array_equal(getattr(by_eight, column), getattr(one, column))
 
 
 def test_without_levelling_it_would_be_lost(at_sea: sightline.Scene) -> None:

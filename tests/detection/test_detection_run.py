@@ -12,7 +12,7 @@ import pytest
 
 from sightline import video
 from sightline.camera.shoreline import StillPicture
-from sightline.detection import MotionDetector, detect, shown
+from sightline.detection import MotionDetector, detect, observe
 from sightline.scene import Scene
 from sightline.scene.detections import SceneDetections
 from sightline.types import Boxes, Frame
@@ -22,12 +22,12 @@ FRAMES = 30
 
 
 class Notes:
-    """Remembers the frames that it was shown."""
+    """Remembers the frames that it was observe."""
 
     def __init__(self) -> None:
         self.index: list[int] = []
 
-    def look(self, frame: Frame) -> None:
+    def observe(self, frame: Frame) -> None:
         self.index.append(frame.index)
 
 
@@ -82,11 +82,11 @@ def same(first: Boxes, second: Boxes) -> None:
 
 def test_everybody_has_looked_when_a_picture_is_handed_on() -> None:
     one, other = Notes(), Notes()
-    for i, frame in enumerate(shown(pictures(), [one, other])):
+    for i, frame in enumerate(observe(pictures(), [one, other])):
         assert frame.index == i
         assert one.index == other.index == list(range(i + 1))
     alone = Notes()
-    list(shown(pictures(), [alone]))
+    list(observe(pictures(), [alone]))
     assert alone.index == one.index
 
 
@@ -102,7 +102,7 @@ def test_a_pass_serves_the_detector_and_the_still_picture(scene: Scene, passes: 
     assert len(boxes) > 10
     same(boxes, Boxes.concatenate(list(detect(scene["a"].frames(), MotionDetector()))))
     alone = StillPicture()
-    list(shown(scene["a"].frames(), [alone]))
+    list(observe(scene["a"].frames(), [alone]))
     np.testing.assert_array_equal(still, alone.picture())
     np.testing.assert_allclose(times, [frame.time_utc_s for frame in pictures()])
 
@@ -118,10 +118,10 @@ def test_a_still_picture_alone_takes_no_more_pictures_than_it_needs(
 
 def test_what_moves_is_not_in_the_still_picture() -> None:
     still = StillPicture(every=3, most=9)
-    list(shown(pictures(), [still]))
+    list(observe(pictures(), [still]))
     assert still.seen_enough
     assert still.picture().min() > 130
     odd = Frame(99, 0.0, np.zeros((8, 8, 3), np.uint8))
     mixed = StillPicture()
-    list(shown([next(pictures()), odd], [mixed]))
+    list(observe([next(pictures()), odd], [mixed]))
     assert mixed.picture().shape == SIZE_PX[::-1]

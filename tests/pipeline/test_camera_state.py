@@ -16,13 +16,14 @@ from sightline import Georeferencer, Scene, fit
 from sightline.camera.motion import Stance
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
-from sightline.camera.rotation import Turns
+from sightline.camera.rotation import CameraRotation
+from sightline.camera.state import ObservedBoxes
 from sightline.camera.static_intervals import StanceWatch
 from sightline.formats import read_clock
 from sightline.geodesy import LocalPlane
-from sightline.pipeline.camera_state import StandingWatch, camera_turns
+from sightline.pipeline.camera_state import CameraMotionMonitor, camera_turns
 from sightline.pipeline.track import iter_tracks
-from sightline.types import Boxes, Frame
+from sightline.types import Boxes, Frame, LocatedBoxes, Positions
 
 SIZE_PX = (640, 360)
 START_S = 1_700_000_000.0
@@ -51,17 +52,17 @@ class Fitted:
     view: View | None = None
     plane: LocalPlane = field(default_factory=lambda: LocalPlane(54.3, 10.1))
 
-    def level(self, boxes: Boxes, _horizons: None) -> Boxes:
-        return boxes
-
     def check_water(self, given: bool, _where: str = "") -> None:
         assert not given
 
-    def turns(self, stances: Sequence[Stance]) -> Turns | None:
-        return None if self.camera is None else Turns.of(stances, self.camera, self.view)
+    def rotation_in(self, stances: Sequence[Stance]) -> CameraRotation | None:
+        return None if self.camera is None else CameraRotation.of(stances, self.camera, self.view)
 
-    def locate(self, *_boxes: object) -> None:
-        raise AssertionError("there are no boxes to locate")
+    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+        assert not len(boxes), "there are no boxes to place"
+        empty = np.empty(0)
+        nowhere = Positions(empty, empty, np.empty((0, 2, 2)), empty, self.plane)
+        return LocatedBoxes.at(boxes, nowhere)
 
 
 class SeesNothing:
@@ -142,17 +143,15 @@ def test_track_warns_of_a_turn_within_20_seconds(
 @pytest.mark.parametrize("shore", [True, False], ids=["a shore", "open water"])
 def test_a_camera_that_stands_still_is_not_said_to_turn(shore: bool) -> None:
     for seed in range(10):
-        watch = StandingWatch(model())
+        watch = CameraMotionMonitor(model())
         for frame in pictures(seed=seed, shore=shore, apart_s=1.0, duration_s=30.0):
-            watch.look(frame)
-        assert watch.noticed == ()
+            assert watch.observe(frame) is None
 
 
 def test_a_turn_of_a_pixel_and_a_half_is_seen_and_measured() -> None:
-    watch = StandingWatch(model())
-    for frame in pictures(turned_at_s=12.0, turn_px=(0.0, 1.5), apart_s=1.0, duration_s=25.0):
-        watch.look(frame)
-    (turn,) = watch.noticed
+    watch = CameraMotionMonitor(model())
+    frames = pictures(turned_at_s=12.0, turn_px=(0.0, 1.5), apart_s=1.0, duration_s=25.0)
+    (turn,) = [turn for frame in frames if (turn := watch.observe(frame)) is not None]
     assert turn.pitch_deg == pytest.approx(-np.degrees(1.5 / 900.0), abs=0.02)
     assert START_S + 12.0 < turn.time_utc_s < START_S + 20.0
 
@@ -160,7 +159,7 @@ def test_a_turn_of_a_pixel_and_a_half_is_seen_and_measured() -> None:
 def view_of(frames: Iterator[Frame]) -> View:
     watch = StanceWatch()
     for frame in frames:
-        watch.look(frame)
+        watch.observe(frame)
     return watch.stances[0].view
 
 
@@ -185,10 +184,10 @@ def test_a_shore_that_the_model_does_not_know_is_told_of(
     later: Callable[[], Iterator[Frame]], told: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     view = view_of(pictures(seed=1, apart_s=1.0, duration_s=12.0))
-    watch = StandingWatch(model(view=view), warn_of="later.mp4")
+    watch = CameraMotionMonitor(model(view=view), warn_of="later.mp4")
     with caplog.at_level(logging.WARNING, logger="sightline"):
         for frame in later():
-            watch.look(frame)
+            watch.observe(frame)
     said = [record.getMessage() for record in caplog.records]
     assert len(said) == int(told)
     assert all(one.startswith("later.mp4: the far shore that the model was") for one in said)
@@ -205,10 +204,10 @@ def test_a_shore_that_the_model_does_not_know_is_told_of(
     ids=["no camera", "on a platform that moves", "horizon outside the picture", "too small"],
 )
 def test_what_cannot_be_watched_is_not(changes: dict[str, object]) -> None:
-    watch = StandingWatch(model(**changes))
+    watch = CameraMotionMonitor(model(**changes))
     assert not watch.able
     for frame in pictures(turned_at_s=5.0, turn_px=(20.0, 0.0), apart_s=1.0, duration_s=15.0):
-        assert watch.look(frame) is None
+        assert watch.observe(frame) is None
 
 
 def test_the_real_camera_was_turned_in_one_recording(data_dir: Path) -> None:

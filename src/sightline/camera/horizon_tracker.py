@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.camera.horizon_line import find_waterline
-from sightline.types import Frame, Horizons
+from sightline.types import Frame
 
 _EAGER_FRAMES = 16
 
@@ -53,19 +55,9 @@ class HorizonFinder:
         return self._horizon
 
 
-class HorizonWatch:
-    """Looks for the horizon in frames, one after another.
-
-    Attributes:
-        seen: Of the last frame looked at; without a row where none was found in it.
-    """
-
-    def __init__(self) -> None:
-        """Begin without a frame."""
-        self.seen = Horizons(np.empty(0), np.empty(0), np.empty(0))
-
-    def look(self, frame: Frame) -> None:
-        """Look at the next frame."""
+def with_horizons(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Frames with the horizon that is seen in each, of a camera that rolls and pitches."""
+    for frame in frames:
         line = find_waterline(frame.image_bgr)
-        rows = np.array([] if line is None else [[frame.time_utc_s, *line]]).reshape(-1, 3)
-        self.seen = Horizons(*rows[np.isfinite(rows).all(axis=1)].T)
+        seen = line is not None and bool(np.isfinite(line).all())
+        yield replace(frame, horizon_px=line if seen else None)

@@ -21,7 +21,7 @@ from sightline.camera.motion import Stance
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import Displacement, View, displacement
 from sightline.camera.static_intervals import least_turn_deg
-from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Positions, rfc3339
+from sightline.types import BoolArray, FloatArray, Positions, rfc3339
 
 _LEAST_SIGMAS = 4.0
 # Strips are no surer than this, however well they agree.
@@ -37,7 +37,7 @@ _NO_SUCH_TURN_PX = 1e4
 
 
 @dataclass(frozen=True, eq=False)
-class Turns:
+class CameraRotation:
     """How a camera lay in the K stances of a recording, against the camera of a model.
 
     A turn is a rotation vector: by it, in radians, what stands still has turned about the camera's
@@ -71,7 +71,7 @@ class Turns:
         reference: View | None = None,
         *,
         focal_log_sigma: float = 0.0,
-    ) -> Turns | None:
+    ) -> CameraRotation | None:
         """The turns of a recording; None where the camera was not turned, or nothing tells.
 
         Args:
@@ -140,59 +140,18 @@ class Turns:
         lens = self.focal_log_sigma * self.angles_deg * [1.0, 1.0, 0.0]
         return np.hypot(np.degrees(np.sqrt(variance)), lens)
 
-    def at(self, time_utc_s: FloatArray) -> tuple[IntArray, BoolArray]:
-        """(N,) the stance at each time, and (N,) whether it is sure that it had begun."""
+    def at(self, time_utc_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rotation vectors (N, 3) at times, radians, and their covariances (N, 3, 3).
+
+        NaN between the last look before a turn and the first one after it, when nobody knows how
+        the camera lay.
+        """
         stance = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
         after = np.append(self.before_utc_s[1:], np.inf)[stance]
-        return stance, np.asarray(time_utc_s <= after)
-
-    def moved(self, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
-        """Corners (N, 4) as the camera of the model would have seen them, and which are known.
-
-        Between the last look before a turn and the first one after it nobody knows how the camera
-        lay.
-        """
-        stance, sure = self.at(boxes.time_utc_s)
-        foot = np.stack([boxes.xyxy_px[:, [0, 2]].mean(axis=1), boxes.xyxy_px[:, 3]], axis=1)
-        rays = self.camera.rays(foot)
-        seen = np.isfinite(rays).all(axis=1) & sure
-        moved = np.full_like(foot, np.nan)
-        if seen.any():
-            back = Rotation.from_rotvec(self.rotation_rad[stance[seen]]).inv()
-            moved[seen] = self.camera.pixels(back.apply(rays[seen]))
-        return boxes.xyxy_px + np.tile(moved - foot, 2), np.isfinite(moved).all(axis=1)
-
-    def level(self, boxes: Boxes) -> Boxes:
-        """Boxes as the camera of the model would have seen them, those of which that is known."""
-        moved, known = self.moved(boxes)
-        return boxes[known].with_columns(xyxy_px=moved[known])
-
-    def widened(
-        self, positions: Positions, time_utc_s: FloatArray, above_m: ArrayLike = 0.0
-    ) -> Positions:
-        """Positions of levelled boxes, with what is not known of the turns.
-
-        Args:
-            positions: N rows, in the model's plane.
-            time_utc_s: (N,) of the boxes.
-            above_m: (N,) or one value: how high the water stood above the plane that the camera's
-                height is over.
-        """
-        stance, _ = self.at(time_utc_s)
-        camera = self.camera
-        place = np.stack([positions.east_m - camera.east_m, positions.north_m - camera.north_m], 1)
-        height = np.broadcast_to(camera.height_m - np.asarray(above_m), len(place))[:, None]
-        sight = np.concatenate([place, -height], axis=1)
-        # A small turn w takes a sight d to d + w x d, and that meets the water elsewhere.
-        by_axis = np.cross(camera.rotation[None, :, :], sight[:, None, :])
-        moved = by_axis[..., :2] + by_axis[..., 2:] * (place / height)[:, None, :]
-        own = np.einsum("nai,nab,nbj->nij", moved, self.covariance_rad2[stance], moved)
-        assert positions.shared_covariance_m2 is not None, "positions fill it in"
-        return replace(
-            positions,
-            covariance_m2=positions.covariance_m2 + own,
-            shared_covariance_m2=positions.shared_covariance_m2
-            + np.where(positions.known[:, None, None], own, 0.0),
+        sure = time_utc_s <= after
+        return (
+            np.where(sure[:, None], self.rotation_rad[stance], np.nan),
+            self.covariance_rad2[stance],
         )
 
     def sentences(self) -> tuple[str, ...]:
@@ -228,6 +187,60 @@ class Turns:
         rotation, covariance = self.rotation_rad[k], self.covariance_rad2[k]
         told = np.sqrt(covariance[0, 0]) < 0.5 * np.radians(_UNSEEN_DEG)
         return bool(told and not _is_turn(rotation, covariance, self.camera))
+
+
+def compensate_rotation(
+    xyxy_px: FloatArray, rotation_rad: FloatArray, camera: Camera
+) -> tuple[FloatArray, BoolArray]:
+    """Boxes as a camera would have seen them that was not rotated.
+
+    Args:
+        xyxy_px: (N, 4) boxes.
+        rotation_rad: (N, 3) rotation vectors; NaN where nobody knows how the camera lay.
+        camera: Of the model.
+
+    Returns:
+        (N, 4) the boxes moved, NaN where they cannot be; and (N,) whether they can.
+    """
+    foot = np.stack([xyxy_px[:, [0, 2]].mean(axis=1), xyxy_px[:, 3]], axis=1)
+    rays = camera.rays(foot)
+    seen = np.isfinite(rays).all(axis=1) & np.isfinite(rotation_rad).all(axis=1)
+    moved = np.full_like(foot, np.nan)
+    if seen.any():
+        back = Rotation.from_rotvec(rotation_rad[seen]).inv()
+        moved[seen] = camera.pixels(back.apply(rays[seen]))
+    return xyxy_px + np.tile(moved - foot, 2), np.isfinite(moved).all(axis=1)
+
+
+def widen(
+    positions: Positions,
+    covariance_rad2: FloatArray,
+    camera: Camera,
+    above_m: ArrayLike = 0.0,
+) -> Positions:
+    """Positions of compensated boxes, with what is not known of the rotation.
+
+    Args:
+        positions: N rows, in the model's plane.
+        covariance_rad2: (N, 3, 3) of the rotation vectors.
+        camera: Of the model.
+        above_m: (N,) or one value: how high the water stood above the plane that the camera's
+            height is over.
+    """
+    place = np.stack([positions.east_m - camera.east_m, positions.north_m - camera.north_m], 1)
+    height = np.broadcast_to(camera.height_m - np.asarray(above_m), len(place))[:, None]
+    sight = np.concatenate([place, -height], axis=1)
+    # A small turn w takes a sight d to d + w x d, and that meets the water elsewhere.
+    by_axis = np.cross(camera.rotation[None, :, :], sight[:, None, :])
+    moved = by_axis[..., :2] + by_axis[..., 2:] * (place / height)[:, None, :]
+    own = np.einsum("nai,nab,nbj->nij", moved, covariance_rad2, moved)
+    assert positions.shared_covariance_m2 is not None, "positions fill it in"
+    return replace(
+        positions,
+        covariance_m2=positions.covariance_m2 + own,
+        shared_covariance_m2=positions.shared_covariance_m2
+        + np.where(positions.known[:, None, None], own, 0.0),
+    )
 
 
 def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bool:

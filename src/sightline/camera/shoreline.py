@@ -60,7 +60,7 @@ class StillPicture:
         """Whether further pictures change nothing."""
         return len(self._grey) == self._most
 
-    def look(self, frame: Frame) -> None:
+    def observe(self, frame: Frame) -> None:
         """Take the next picture, where it is its turn; not one of another size than the first."""
         due = self._passed % self._every == 0
         self._passed += 1

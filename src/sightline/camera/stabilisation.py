@@ -12,7 +12,7 @@ import numpy as np
 
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior
-from sightline.types import BoolArray, Boxes, FloatArray, Horizons
+from sightline.types import BoolArray, FloatArray, Horizons
 
 LONGEST_S = 0.5
 """Between horizons further apart than this nothing is assumed: swell has periods of seconds."""
@@ -24,34 +24,32 @@ Gauss's quadrature.
 """
 
 
-def level(
-    boxes: Boxes,
-    horizons: Horizons,
+def stabilise(
+    xyxy_px: FloatArray,
+    horizon_px: FloatArray,
     reference_px: tuple[float, float],
     camera: Camera,
-) -> tuple[Boxes, BoolArray]:
+) -> tuple[FloatArray, BoolArray]:
     """Move boxes to where they would be if the horizon lay where it lies in the reference.
 
     Args:
-        boxes: With their times.
-        horizons: Of the same recording.
-        reference_px: Rows of the horizon at the left and the right edge of the image.
+        xyxy_px: (N, 4) boxes.
+        horizon_px: (N, 2) rows of the horizon at the left and the right edge in the frame of each
+            box; NaN where it was not seen.
+        reference_px: The same rows in the reference.
         camera: Its lens; `nominal_camera` where it is not known yet.
 
     Returns:
-        The boxes whose attitude is known, moved, and (N,) which these were.
+        (N, 4) the boxes moved, NaN where the attitude is not known; and (N,) whether it is.
     """
-    lines, known = _at(horizons, boxes.time_utc_s)
-    foot = np.stack([boxes.xyxy_px[:, [0, 2]].mean(axis=1), boxes.xyxy_px[:, 3]], axis=1)
+    foot = np.stack([xyxy_px[:, [0, 2]].mean(axis=1), xyxy_px[:, 3]], axis=1)
+    known = np.isfinite(horizon_px).all(axis=1)
     moved = np.full_like(foot, np.nan)
     if known.any():
-        up = _up(camera, lines[known])
+        up = _up(camera, horizon_px[known])
         there = np.broadcast_to(_up(camera, np.array([reference_px])), up.shape)
         moved[known] = camera.pixels(_rotated(camera.rays(foot[known]), up, there))
-    usable = np.isfinite(moved).all(axis=1)
-    shift = (moved - foot)[usable]
-    kept = boxes[usable]
-    return kept.with_columns(xyxy_px=kept.xyxy_px + np.tile(shift, 2)), usable
+    return xyxy_px + np.tile(moved - foot, 2), np.isfinite(moved).all(axis=1)
 
 
 def nominal_camera(image_size_px: tuple[int, int]) -> Camera:
@@ -71,11 +69,16 @@ def nominal_camera(image_size_px: tuple[int, int]) -> Camera:
     )
 
 
-def _at(horizons: Horizons, time_utc_s: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Rows (N, 2) of the horizon at times, and (N,) whether they are known."""
+def horizons_at(horizons: Horizons, time_utc_s: FloatArray) -> FloatArray:
+    """(N, 2) rows of the horizon at times, interpolated; NaN between horizons too far apart.
+
+    Args:
+        horizons: Of a recording.
+        time_utc_s: (N,) POSIX seconds.
+    """
     n = len(horizons)
     if n == 0:
-        return np.full((time_utc_s.size, 2), np.nan), np.zeros(time_utc_s.size, dtype=bool)
+        return np.full((time_utc_s.size, 2), np.nan)
     log_s = horizons.time_utc_s
     rows = np.stack(
         [
@@ -87,7 +90,7 @@ def _at(horizons: Horizons, time_utc_s: FloatArray) -> tuple[FloatArray, BoolArr
     after = np.clip(np.searchsorted(log_s, time_utc_s), 0, n - 1)
     before = np.maximum(after - 1, 0)
     near = (log_s[after] - log_s[before] <= LONGEST_S) | (log_s[after] == time_utc_s)
-    return rows, np.asarray(near & np.isfinite(rows).all(axis=1))
+    return np.where(near[:, None], rows, np.nan)
 
 
 def _up(camera: Camera, lines_px: FloatArray) -> FloatArray:

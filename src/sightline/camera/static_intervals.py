@@ -42,7 +42,7 @@ class StanceWatch:
         """How the camera stood; none where there is no edge of the water, or too few pictures."""
         return () if self._watch is None else self._watch.stances
 
-    def look(self, frame: Frame) -> None:
+    def observe(self, frame: Frame) -> None:
         """Look at the next picture; those of another size than the first are left out."""
         size = frame.image_bgr.shape[1::-1]
         if self._size is None:

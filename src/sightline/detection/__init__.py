@@ -10,7 +10,7 @@ from sightline.detection.registry import (
     check_detector_name,
     detector_by_name,
 )
-from sightline.detection.run import Looker, detect, shown
+from sightline.detection.run import FrameObserver, detect, observe
 from sightline.detection.tiling import VIEWS, View, ViewSettings
 
 __all__ = [
@@ -19,7 +19,7 @@ __all__ = [
     "VIEWS",
     "Detector",
     "DetectorOptions",
-    "Looker",
+    "FrameObserver",
     "LowerEdge",
     "MotionDetector",
     "MotionSettings",
@@ -29,5 +29,5 @@ __all__ = [
     "check_detector_name",
     "detect",
     "detector_by_name",
-    "shown",
+    "observe",
 ]

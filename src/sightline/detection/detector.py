@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
 
 from sightline.types import Boxes, Frame
 
@@ -26,4 +27,19 @@ class Detector(Protocol):
 
     def reset(self) -> None:
         """Forget the frames seen so far: the next one is of another recording."""
+        ...
+
+
+@runtime_checkable
+class BatchDetector(Detector, Protocol):
+    """A detector that looks at several frames at once.
+
+    Attributes:
+        batch_size: How many frames it wants, at least 1; the last batch may have fewer.
+    """
+
+    batch_size: int
+
+    def detect_batch(self, frames: Sequence[Frame]) -> Sequence[Boxes]:
+        """The boxes in each of the frames, in their order; see `Detector.detect`."""
         ...

@@ -2,39 +2,41 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 import numpy as np
 
-from sightline.detection.detector import Detector
+from sightline.camera.state import ObservedBoxes
+from sightline.detection.detector import BatchDetector, Detector
 from sightline.errors import InputError
 from sightline.progress import Progress
-from sightline.types import Boxes, Frame
+from sightline.types import Frame
 
 
-class Looker(Protocol):
-    """Whatever is shown pictures one after another, and remembers of them what it is for.
+class FrameObserver(Protocol):
+    """Observes frames one after another, and remembers of them what it is for.
 
     What it has found out it tells by attributes or methods of its own.
     """
 
-    def look(self, frame: Frame) -> object:
-        """Look at the next picture; they come in the order of time."""
+    def observe(self, frame: Frame) -> object:
+        """Observe the next frame; they come in the order of time."""
         ...
 
 
-def shown(frames: Iterable[Frame], lookers: Iterable[Looker]) -> Iterator[Frame]:
-    """Hand pictures on, each when all have looked at it: one pass serves them all.
+def observe(frames: Iterable[Frame], observers: Iterable[FrameObserver]) -> Iterator[Frame]:
+    """Hand frames on, each when all have observed it: one pass serves them all.
 
     Args:
         frames: In the order of time.
-        lookers: Are shown each picture.
+        observers: Observe each picture.
     """
-    lookers = tuple(lookers)
+    observers = tuple(observers)
     for frame in frames:
-        for looker in lookers:
-            looker.look(frame)
+        for observer in observers:
+            observer.observe(frame)
         yield frame
 
 
@@ -43,19 +45,32 @@ def detect(
     detector: Detector,
     count: int | None = None,
     progress: Progress | None = None,
-) -> Iterator[Boxes]:
-    """The boxes of each frame, as the detector finds them.
+) -> Iterator[ObservedBoxes]:
+    """The boxes of each frame, as the detector finds them, with the state of its camera.
 
     Args:
         frames: In the order of time.
-        detector: Finds boxes.
+        detector: Finds boxes, in one frame at a time, or in batches of frames (`BatchDetector`).
         count: How many frames there are, where that is known.
         progress: Told how far it is.
     """
-    for i, frame in enumerate(frames):
-        if progress:
-            progress("detecting", (i + 1) / count if count else float("nan"))
-        yield detector.detect(frame)
+    done = 0
+    for batch in _batches(frames, getattr(detector, "batch_size", 1)):
+        if isinstance(detector, BatchDetector):
+            found = detector.detect_batch(batch)
+        else:
+            found = [detector.detect(frame) for frame in batch]
+        for frame, boxes in zip(batch, found, strict=True):
+            done += 1
+            if progress:
+                progress("detecting", done / count if count else float("nan"))
+            yield ObservedBoxes.of_frame(boxes, frame)
+
+
+def _batches(frames: Iterable[Frame], size: int) -> Iterator[list[Frame]]:
+    waiting = iter(frames)
+    while batch := list(itertools.islice(waiting, size)):
+        yield batch
 
 
 def same_size(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:

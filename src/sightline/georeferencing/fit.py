@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
 from sightline.camera.registration import View
-from sightline.camera.rotation import Turns, reference_view
-from sightline.camera.stabilisation import level, nominal_camera
+from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
+from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Pairs
@@ -27,7 +27,7 @@ from sightline.georeferencing.models import (
     model_type,
 )
 from sightline.georeferencing.support import Support
-from sightline.types import ControlPoints, FloatArray, Horizons
+from sightline.types import BoolArray, Boxes, ControlPoints, FloatArray, Horizons
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +100,12 @@ class _Knowledge:
 
     Attributes:
         lens: How far a pixel turns the camera; told once there is a camera.
-        turns: By recording, how the camera lay in it against how it lies for the model.
+        rotations: By recording, how the camera lay in it against how it lies for the model.
         origin: Where on the earth the camera stands.
     """
 
     lens: Camera | None = None
-    turns: Mapping[str, Turns] | None = None
+    rotations: Mapping[str, CameraRotation] | None = None
     origin: LocalPlane | None = None
 
 
@@ -145,10 +145,10 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
         known = told
     if fitted.camera is None or view is None:
         return fitted
-    if known.turns:
+    if known.rotations:
         said = (
-            f"The camera was turned: in recordings {', '.join(known.turns)} it did not always lie "
-            "as at the end. Their boxes were put where they would be if it had."
+            f"The camera was turned: in recordings {', '.join(known.rotations)} it did not always "
+            "lie as at the end. Their boxes were put where they would be if it had."
         )
         report = replace(fitted.report, statements=(*fitted.report.statements, said))
         fitted = replace(fitted, report=report)
@@ -169,14 +169,14 @@ def _told(
     told = known
     if known.lens is None and horizon is not None:
         told = replace(told, lens=camera)
-    if known.turns is None and view is not None:
-        turns = {
+    if known.rotations is None and view is not None:
+        rotations = {
             name: found
             for name, own in inputs.stances.items()
-            if (found := fitted.turns(own, view)) is not None
+            if (found := fitted.rotation_in(own, view)) is not None
         }
-        if turns:
-            told = replace(told, turns=turns)
+        if rotations:
+            told = replace(told, rotations=rotations)
     if known.origin is None and not inputs.position_known:
         latitude, longitude = fitted.plane.to_geographic([camera.east_m], [camera.north_m])
         told = replace(told, origin=LocalPlane(float(latitude[0]), float(longitude[0])))
@@ -191,7 +191,7 @@ def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float]
     if horizon is not None:
         lens = known.lens or nominal_camera(inputs.image_size_px)
         pairs = _stabilised(pairs, inputs.horizons, horizon, lens)
-    return pairs if known.turns is None else _compensated(pairs, known.turns)
+    return pairs if known.rotations is None else _compensated(pairs, known.rotations)
 
 
 def _stabilised(
@@ -201,23 +201,41 @@ def _stabilised(
     lens: Camera,
 ) -> Pairs:
     """Correspondences with roll and pitch taken off; those without a horizon are left out."""
-    xyxy_px = pairs.boxes.xyxy_px.copy()
-    usable = np.ones(len(pairs), dtype=bool)
-    for name, own in horizons.items():
-        rows = np.flatnonzero(pairs.recording == name)
-        moved, known = level(pairs.boxes[rows], own, horizon_px, lens)
-        xyxy_px[rows[known]] = moved.xyxy_px
-        usable[rows] = known
-    return replace(pairs, boxes=pairs.boxes.with_columns(xyxy_px=xyxy_px))[usable]
+
+    def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
+        seen_px = horizons_at(horizons[name], boxes.time_utc_s)
+        return stabilise(boxes.xyxy_px, seen_px, horizon_px, lens)
+
+    return _moved(pairs, horizons, moved)
 
 
-def _compensated(pairs: Pairs, turns: Mapping[str, Turns]) -> Pairs:
-    """Correspondences with the turns of their recordings taken off their boxes."""
+def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs:
+    """Correspondences with the camera rotations of their recordings taken off their boxes."""
+
+    def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
+        rotation_rad, _ = rotations[name].at(boxes.time_utc_s)
+        return compensate_rotation(boxes.xyxy_px, rotation_rad, rotations[name].camera)
+
+    return _moved(pairs, rotations, moved)
+
+
+def _moved(
+    pairs: Pairs,
+    recordings: Iterable[str],
+    move: Callable[[str, Boxes], tuple[FloatArray, BoolArray]],
+) -> Pairs:
+    """Correspondences with the boxes of some recordings moved; those that cannot be are left out.
+
+    Args:
+        pairs: Of all recordings.
+        recordings: Names of those whose boxes are moved.
+        move: From a name and its N boxes to (N, 4) the boxes moved and (N,) whether they could be.
+    """
     xyxy_px = pairs.boxes.xyxy_px.copy()
     usable = np.ones(len(pairs), dtype=bool)
-    for name, own in turns.items():
+    for name in recordings:
         rows = np.flatnonzero(pairs.recording == name)
-        moved, known = own.moved(pairs.boxes[rows])
+        moved, known = move(name, pairs.boxes[rows])
         xyxy_px[rows[known]] = moved[known]
         usable[rows] = known
     return replace(pairs, boxes=pairs.boxes.with_columns(xyxy_px=xyxy_px))[usable]

@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike
 from sightline.camera.motion import Stance
 from sightline.camera.pinhole import PARAMETERS, Camera
 from sightline.camera.registration import View
-from sightline.camera.rotation import Turns
-from sightline.camera.stabilisation import level, nominal_camera
+from sightline.camera.rotation import CameraRotation, compensate_rotation, widen
+from sightline.camera.stabilisation import nominal_camera, stabilise
+from sightline.camera.state import ObservedBoxes
 from sightline.errors import InputError, SightlineError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.camera_regressor import CameraRegressor
@@ -29,9 +30,8 @@ from sightline.platform import Pose, on_earth
 from sightline.types import (
     BodyPositions,
     BoolArray,
-    Boxes,
     FloatArray,
-    Horizons,
+    LocatedBoxes,
     Positions,
     check_boxes,
 )
@@ -234,23 +234,57 @@ class Georeferencer:
             )
         return above
 
-    def level(self, boxes: Boxes, horizons: Horizons | None) -> Boxes:
-        """Boxes as if the camera had lain as it did for the model.
+    def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
+        """Boxes as the camera would have seen them if it had lain as it did for the model.
 
         Args:
-            boxes: With their times.
-            horizons: Of the same recording; None: the camera is taken not to have moved.
+            boxes: With the state of the camera in their moments.
 
         Returns:
-            The boxes in whose frames the horizon was seen; all of them, as they are, where the
-            model or the recording knows of none.
+            Those of which that is known: in whose frames the horizon was seen, where the model
+            knows of one, and of which it is known how the camera had been rotated.
         """
-        if self.horizon_px is None or horizons is None:
-            return boxes
-        camera = self.camera or nominal_camera(self.image_size_px)
-        return level(boxes, horizons, self.horizon_px, camera)[0]
+        state = boxes.state
+        if self.horizon_px is not None:
+            camera = self.camera or nominal_camera(self.image_size_px)
+            boxes = _moved(
+                boxes, *stabilise(boxes.xyxy_px, state.horizon_px, self.horizon_px, camera)
+            )
+        if self.camera is not None and boxes.state.rotation_rad.any():
+            rotation_rad = boxes.state.rotation_rad
+            boxes = _moved(boxes, *compensate_rotation(boxes.xyxy_px, rotation_rad, self.camera))
+        return boxes
 
-    def turns(self, stances: Sequence[Stance], view: View | None = None) -> Turns | None:
+    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+        """Boxes with their positions, by the state of the camera in their moments.
+
+        Args:
+            boxes: As the camera saw them, with their times.
+
+        Returns:
+            Those of which it is known how the camera lay, as `compensated` has them. Positions are
+            on the earth, or in the body frame of the platform that the camera stands on.
+
+        Raises:
+            InputError: See `locate`.
+        """
+        boxes = self.compensated(boxes)
+        state, plain = boxes.state, boxes.boxes
+        if self.moving:
+            return LocatedBoxes.at(plain, self.locate_body(plain.xyxy_px, plain.source))
+        told = bool(np.isfinite(state.water_level_m).any())
+        if not len(plain):
+            told = self.water_level_m is not None
+        level_m = state.water_level_m if told else None
+        positions = self.locate(plain.xyxy_px, plain.source, level_m)
+        if self.camera is not None and state.rotation_covariance_rad2.any():
+            covariance = state.rotation_covariance_rad2
+            positions = widen(positions, covariance, self.camera, self.above_m(level_m))
+        return LocatedBoxes.at(plain, positions)
+
+    def rotation_in(
+        self, stances: Sequence[Stance], view: View | None = None
+    ) -> CameraRotation | None:
         """How the camera lay in the stances of a recording, against how it lies for the model.
 
         Args:
@@ -265,7 +299,9 @@ class Georeferencer:
         if fit is None or self.moving:
             return None
         focal_log_sigma = float(np.sqrt(fit.covariance[_FOCAL, _FOCAL]))
-        return Turns.of(stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma)
+        return CameraRotation.of(
+            stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
+        )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the model to a file, whole or not at all; see `sightline.load`.
@@ -343,6 +379,12 @@ def _settings(content: dict[str, Any]) -> dict[str, Any]:
             values = np.exp(np.array(settings[key]["hyperparameters"], dtype=np.float64))
             settings[key] = {**settings[key], "hyperparameters": values.tolist()}
     return settings
+
+
+def _moved(boxes: ObservedBoxes, xyxy_px: FloatArray, known: BoolArray) -> ObservedBoxes:
+    rows = np.flatnonzero(known)
+    chosen = boxes[rows]
+    return ObservedBoxes.at(chosen.boxes.with_columns(xyxy_px=xyxy_px[rows]), chosen.state)
 
 
 def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:

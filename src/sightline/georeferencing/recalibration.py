@@ -135,7 +135,7 @@ def lies_since(
     said = []
     by_pictures = False
     for name, own in seen.items():
-        turns = model.turns(own)
+        turns = model.rotation_in(own)
         if turns is not None:
             by_pictures = True
             said.append(
@@ -148,7 +148,7 @@ def lies_since(
                 f"The camera was turned: from recording {name} on by {moved.angles} against the "
                 f"old model, by its boxes ({moved.gain:.0f} nats)."
             )
-        elif model.turns(seen[name]) is None:
+        elif model.rotation_in(seen[name]) is None:
             said.append(
                 f"The boxes of recording {name} lie as if the camera were turned by "
                 f"{moved.angles}, and its pictures show that it is not: it may have been raised, "

@@ -1,4 +1,4 @@
-"""Whether a camera that ought to stand still did, and what a turn does to boxes."""
+"""Whether a camera that ought to stand still did, and the state that its boxes are placed by."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from sightline.camera.motion import CameraMotionWatch, CameraTurn, Stance
 from sightline.camera.rotation import seen_again
+from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.camera.static_intervals import LOOKS_APART_S, LOOKS_OF_REFERENCE, least_turn_deg
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.pipeline.conditions import Conditions
 from sightline.scene import Recording
-from sightline.scene.camera_state import recording_stances
+from sightline.scene.camera_state import recording_stances, scene_horizons
 from sightline.types import Boxes, FloatArray, Frame, rfc3339
 from sightline.water import WaterLevels
 
@@ -30,31 +30,10 @@ _UNRECOGNISED = (
 _logger = logging.getLogger(__name__)
 
 
-class Standing:
-    """Knows how the camera lay in a recording, and how high the water stood."""
+class CameraMotionMonitor:
+    """Observes some of the frames that pass, and notes when their camera was rotated.
 
-    def __init__(self, conditions: Conditions | None = None) -> None:
-        """Take what is known of it; None: it lay as for the model."""
-        self._conditions = conditions or Conditions()
-
-    @property
-    def conditions(self) -> Conditions:
-        """What is known by now."""
-        return self._conditions
-
-    def level(self, batches: Iterable[Boxes]) -> Iterator[Boxes]:
-        """Boxes as the camera of the model would have seen them.
-
-        Args:
-            batches: In the order of time.
-        """
-        return map(self._conditions.level, batches)
-
-
-class StandingWatch(Standing):
-    """Looks at some of the pictures that pass, and notes when their camera was turned.
-
-    A camera that moves anyway, or whose horizon lies outside the picture, is not watched.
+    A camera that moves anyway, or whose horizon lies outside the picture, is not monitored.
     """
 
     def __init__(
@@ -62,38 +41,37 @@ class StandingWatch(Standing):
         model: Georeferencer,
         *,
         warn_of: str | None = None,
-        correct: bool = True,
+        compensate: bool = True,
         water: WaterLevels | None = None,
     ) -> None:
         """Take from the model where the horizon lies, and what stood still before it.
 
         Args:
             model: Of the camera.
-            warn_of: The source, where each turn is to be warned of as it is noticed.
-            correct: Whether boxes are to be levelled.
+            warn_of: The source, where each rotation is to be warned of as it is noticed.
+            compensate: Whether boxes are to be told of rotations.
             water: How high the water stands.
         """
-        super().__init__(Conditions(water=water))
+        self._history = CameraHistory(water=water)
         self._warn_of = warn_of
-        self._noticed: list[CameraTurn] = []
-        self._model, self._correct = model, correct
+        self._model, self._compensate = model, compensate
         self._size_px = model.image_size_px
         self._watch = _watch(model)
         self._next_s = -np.inf
         self._known = 0
 
     @property
-    def noticed(self) -> tuple[CameraTurn, ...]:
-        """The turns so far, in the order of time."""
-        return tuple(self._noticed)
+    def history(self) -> CameraHistory:
+        """What is known by now."""
+        return self._history
 
     @property
     def able(self) -> bool:
-        """Whether anything is looked at."""
+        """Whether any frame is looked at."""
         return self._watch is not None
 
-    def look(self, frame: Frame) -> CameraTurn | None:
-        """Look at a picture, where the last look was long enough ago; the turn noticed in it."""
+    def observe(self, frame: Frame) -> CameraTurn | None:
+        """Observe a frame, where the last was long enough ago; the rotation noticed in it."""
         if self._watch is None or not frame.time_utc_s >= self._next_s:
             return None
         if frame.image_bgr.shape[1::-1] != self._size_px:
@@ -105,18 +83,17 @@ class StandingWatch(Standing):
             if self._known == 0 and not _recognised(self._model, stances):
                 self._warn(_UNRECOGNISED)
             self._known = len(stances)
-            turns = self._model.turns(stances)
-            if self._correct:
-                self._conditions = replace(self._conditions, turns=turns)
-            if turn is None and turns is not None:
-                self._warn_of_turn(turns.sentences()[0])
+            rotation = self._model.rotation_in(stances)
+            if self._compensate:
+                self._history = replace(self._history, rotation=rotation)
+            if turn is None and rotation is not None:
+                self._warn_of_turn(rotation.sentences()[0])
         if turn is not None:
-            self._noticed.append(turn)
             self._warn_of_turn(turn_sentence(turn))
         return turn
 
     def _warn_of_turn(self, sentence: str) -> None:
-        made_up = self._conditions.turns is not None
+        made_up = self._history.rotation is not None
         after = "Positions are corrected." if made_up else "The model does not hold for it."
         self._warn(f"{sentence} {after}")
 
@@ -124,37 +101,43 @@ class StandingWatch(Standing):
         if self._warn_of is not None:
             _logger.warning("%s: %s", self._warn_of, sentences)
 
-    def level(self, batches: Iterable[Boxes]) -> Iterator[Boxes]:
-        """See `Standing`; boxes wait until no turn before them can be told of any more."""
-        if self._watch is None or not self._correct:
-            yield from batches
+    def observed(self, batches: Iterable[Boxes]) -> Iterator[ObservedBoxes]:
+        """Boxes with the state of the camera, buffered until no earlier rotation can be detected.
+
+        Args:
+            batches: In the order of time, of frames that were observed.
+        """
+        if self._watch is None or not self._compensate:
+            yield from map(self._history.observed, batches)
             return
         waiting: deque[Boxes] = deque()
         for boxes in batches:
             waiting.append(boxes)
             while waiting and _last_s(waiting[0]) <= self._watch.settled_utc_s:
-                yield self._conditions.level(waiting.popleft())
+                yield self._history.observed(waiting.popleft())
         for boxes in waiting:
-            yield self._conditions.level(boxes)
+            yield self._history.observed(boxes)
 
 
-def recording_conditions(
-    recording: Recording, model: Georeferencer, *, watched: bool = True
-) -> Conditions:
-    """How the camera lay in a recording, against how it lies for a model, and the water.
+def recording_history(
+    recording: Recording, model: Georeferencer, *, pictures: bool = True
+) -> CameraHistory:
+    """How the camera lay in a recording against how it lies for a model, and the water level.
 
     Args:
         recording: With or without pictures.
         model: To place its boxes.
-        watched: Whether its pictures are asked if the camera was turned.
+        pictures: Whether its pictures are asked if the camera was rotated.
 
     Raises:
         InputError: The recording has water levels and the model knows of none, or the reverse.
     """
     water = recording.water_levels()
     model.check_water(water is not None, f"recording {recording.name}: ")
-    seen = watched and model.camera is not None and not model.moving
-    return Conditions(model.turns(recording_stances(recording)) if seen else None, water)
+    rotation = None
+    if pictures and model.camera is not None and not model.moving:
+        rotation = model.rotation_in(recording_stances(recording))
+    return CameraHistory(rotation, scene_horizons(recording), water)
 
 
 def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
@@ -172,10 +155,10 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
     if model.camera is None or model.moving:
         return None
     stances = recording_stances(recording)
-    turns = model.turns(stances)
+    rotation = model.rotation_in(stances)
     seen = recording.source is None or _recognised(model, stances)
     said = [] if seen else [_UNRECOGNISED]
-    said += [] if turns is None else turns.sentences()
+    said += [] if rotation is None else rotation.sentences()
     return f"Recording {recording.name}: {' '.join(said)}" if said else None
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sightline import formats
@@ -18,24 +18,23 @@ from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, MODELS, ModelType, model_type
 from sightline.georeferencing.paper.model import PAPER_MODELS
-from sightline.pipeline.camera_state import recording_conditions
-from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.camera_state import recording_history
 from sightline.pipeline.track import (
     DEFAULT_TRAJECTORY,
     TrackSettings,
     check_platform,
+    positions_on_earth,
     smooth_boxes,
     states,
 )
 from sightline.platform import Platform
 from sightline.progress import Progress
 from sightline.scene import Scene
-from sightline.scene.camera_state import scene_horizons
 from sightline.scene.correspondences import collect
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.trajectory.forecast import MotionModel, MotionState
-from sightline.types import Boxes, Fixes, Track
+from sightline.types import Boxes, Fixes, LocatedBoxes, Track
 
 
 def evaluate(
@@ -85,26 +84,23 @@ class Placed:
 
     Attributes:
         recording: Its name.
-        boxes: With their times.
+        boxes: With their times and positions.
         model: That placed them.
         fixes: The log.
         platform: What the camera stands on, where that moves.
-        conditions: How the camera lay, and how high the water stood; the boxes are levelled.
     """
 
     recording: str
-    boxes: Boxes
+    boxes: LocatedBoxes
     model: Georeferencer
     fixes: Fixes
     platform: Platform | None = None
-    conditions: Conditions = field(default_factory=Conditions)
 
     def single(self) -> ScoredPairs:
         """Each box by itself beside the log."""
-        positions = self.conditions.locate(self.boxes, self.model, self.platform)
         return pair_positions(
             self.boxes.time_utc_s,
-            positions,
+            positions_on_earth(self.boxes, self.platform),
             self.fixes,
             platform=self.platform,
             log_sigma_m=self.model.log_sigma_m,
@@ -114,13 +110,7 @@ class Placed:
         """The trajectory of the boxes, at their times."""
         settings = TrackSettings(trajectory=trajectory)
         return smooth_boxes(
-            self.boxes,
-            self.model,
-            method(trajectory),
-            settings,
-            track_id=1,
-            platform=self.platform,
-            conditions=self.conditions,
+            self.boxes, method(trajectory), settings, track_id=1, platform=self.platform
         )
 
     def states(self, motion: MotionModel | None = None) -> MotionState | None:
@@ -131,7 +121,7 @@ class Placed:
         Args:
             motion: How targets move. Absent: as vessels do.
         """
-        return states(self.boxes, self.model, self.platform, self.conditions, motion=motion)
+        return states(self.boxes, self.platform, motion=motion)
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
@@ -150,9 +140,9 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
             continue
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
-        conditions = recording_conditions(recording, model, watched=scene.camera.watched)
-        boxes = conditions.level(model.level(recording.boxes(), scene_horizons(recording)))
-        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform, conditions))
+        history = recording_history(recording, model, pictures=scene.camera.watched)
+        boxes = model.place(history.observed(recording.boxes()))
+        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform))
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"

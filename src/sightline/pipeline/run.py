@@ -14,14 +14,13 @@ from sightline.evaluation.report import Report, TracksUsed, pair_target, summari
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, ModelType
 from sightline.overlap import iou
-from sightline.pipeline.camera_state import Standing, camera_turns, recording_conditions
+from sightline.pipeline.camera_state import camera_turns, recording_history
 from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score
 from sightline.pipeline.fit_unlabelled import fit_scene
 from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
-from sightline.scene.camera_state import scene_horizons
 from sightline.scene.detections import SceneDetections
 from sightline.tracks import Tracks
 from sightline.trajectory import method
@@ -211,20 +210,12 @@ def track_recording(
     """The tracks of a recording: of the target that somebody drew, or of whatever is seen."""
     smoother = method(settings.trajectory)
     where = f"recording {recording.name}"
-    platform, horizons = recording.platform(), scene_horizons(recording)
+    platform = recording.platform()
     check_platform(model, platform, f"{where}: ")
-    standing = Standing(recording_conditions(recording, model, watched=settings.correct_turns))
+    history = recording_history(recording, model, pictures=settings.correct_turns)
     if recording.boxes_path is not None:
-        (boxes,) = standing.level([model.level(recording.boxes(), horizons)])
-        made = smooth_boxes(
-            boxes,
-            model,
-            smoother,
-            settings,
-            track_id=1,
-            platform=platform,
-            conditions=standing.conditions,
-        )
+        located = model.place(history.observed(recording.boxes()))
+        made = smooth_boxes(located, smoother, settings, track_id=1, platform=platform)
         return [] if made is None else [made]
     if recording.detections_path is not None:
         batches, highest_id = in_hand(recording.detections())
@@ -232,8 +223,8 @@ def track_recording(
         refuse_seldom(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
         batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK
     with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    level = standing.level(model.level(boxes, horizons) for boxes in with_times)
-    return list(follow(level, model, smoother, settings, highest_id, platform, standing=standing))
+    observed = map(history.observed, with_times)
+    return list(follow(observed, model, smoother, settings, highest_id, platform))
 
 
 def _against_log(

@@ -6,17 +6,18 @@ import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from sightline import formats, video
-from sightline.camera.horizon_tracker import HorizonWatch
+from sightline.camera.horizon_tracker import with_horizons
+from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.clock import Clock
-from sightline.detection import Detector, Looker, detect, shown
+from sightline.detection import Detector, detect, observe
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.pipeline.camera_state import Standing, StandingWatch
-from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.pipeline.sources import (
     fit_for_use,
     follows_on_earth,
@@ -29,7 +30,7 @@ from sightline.pipeline.sources import (
     timed,
     whole_moments,
 )
-from sightline.platform import Platform, moved_track, north_up
+from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.progress import Progress
 from sightline.tracking import ImageTracker, TargetTracker, Tracker, WorldTracker
 from sightline.tracks import Tracks
@@ -203,32 +204,25 @@ def iter_tracks(
             "boxes in a table have no presentation times, so a start time does not tell when they "
             "were seen; give a clock (frame,utc), or time_utc with the boxes"
         )
-    watch: HorizonWatch | None = None
-    standing = Standing(Conditions(water=water))
-    if isinstance(source, Boxes):
-        batches, highest_id = in_hand(source)
-    elif table:
-        batches, highest_id = read_table(source)
-    else:
-        frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
-        usable = fit_for_use(frames, model, str(source))
-        standing = StandingWatch(
-            model, warn_of=str(source), correct=settings.correct_turns, water=water
-        )
-        lookers: list[Looker] = [standing]
-        if model.horizon_px is not None:
-            watch = HorizonWatch()
-            lookers.append(watch)
-        usable = shown(usable, lookers)
-        batches = detect(usable, make_detector(detector, model), frame_count(source), progress)
-        clock, highest_id = None, NO_TRACK
     where = "" if isinstance(source, Boxes) else f"{source}: "
-    with_times = (timed(boxes, clock, model, where) for boxes in batches)
-    level: Iterator[Boxes] = (
-        model.level(boxes, watch.seen if watch else horizons) for boxes in with_times
-    )
-    level = standing.level(level)
-    yield from follow(level, model, smoother, settings, highest_id, platform, forecasts, standing)
+    batches: Iterator[Boxes]
+    if isinstance(source, Boxes) or table:
+        batches, highest_id = in_hand(source) if isinstance(source, Boxes) else read_table(source)
+        history = CameraHistory(horizons=horizons, water=water)
+        with_times = (timed(boxes, clock, model, where) for boxes in batches)
+        observed: Iterator[ObservedBoxes] = map(history.observed, with_times)
+    else:
+        highest_id = NO_TRACK
+        monitor = CameraMotionMonitor(
+            model, warn_of=str(source), compensate=settings.correct_turns, water=water
+        )
+        frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
+        usable = observe(fit_for_use(frames, model, str(source)), [monitor])
+        if model.horizon_px is not None:
+            usable = with_horizons(usable)
+        found = detect(usable, make_detector(detector, model), frame_count(source), progress)
+        observed = monitor.observed(timed(boxes, None, model, where) for boxes in found)
+    yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
 
 
 def _water(
@@ -242,16 +236,15 @@ def _water(
 
 
 def follow(
-    batches: Iterator[Boxes],
+    batches: Iterator[ObservedBoxes],
     model: Georeferencer,
     smoother: TrajectoryMethod,
     settings: TrackSettings,
     highest_id: int = NO_TRACK,
     platform: Platform | None = None,
     forecasts: Callable[[Track], None] | None = None,
-    standing: Standing | None = None,
 ) -> Iterator[Track]:
-    """The tracks of boxes, each as soon as its target has gone.
+    """The tracks of boxes, each as soon as its target has gone; a box is placed once.
 
     Args:
         batches: In the order of time from one to the next.
@@ -262,65 +255,51 @@ def follow(
             has one, and a tracker gives them.
         platform: What the camera stands on, where that moves.
         forecasts: See `iter_tracks`.
-        standing: Knows by when the camera had been turned, and how high the water stood; the boxes
-            are levelled.
 
     Raises:
         SeldomError: No target could be followed, since the boxes come too seldom.
     """
-    standing = standing or Standing()
     first_s: list[float] = []
     book = _OpenTracks(settings, highest_id)
+    located: Iterator[Boxes] = map(model.place, batches)
     if highest_id == NO_TRACK:
-        batches = _followed(batches, first_s, _tracker(model, standing, platform))
-        ended = book.ended_by_moment(batches)
+        located = _followed(located, first_s, _tracker(model, platform))
+        ended = book.ended_by_moment(located)
     else:
-        ended = book.ended(batches)
+        ended = book.ended(located)
     count = 0
-    for number, seen in ended:
-        conditions = standing.conditions
-        boxes = seen
-        if platform is None:
-            boxes = LocatedBoxes.at(seen, conditions.locate(seen, model))
+    for number, boxes in ended:
+        assert isinstance(boxes, LocatedBoxes), "trackers hand on the rows that they were given"
         made = smooth_boxes(
             boxes,
-            model,
             smoother,
             settings,
             track_id=number,
             shortest_s=settings.shortest_s,
             platform=platform,
-            conditions=conditions,
         )
         if made is not None:
             count += 1
             if forecasts is not None:
-                forecasts(_forecast(boxes, model, settings, made, platform, conditions))
+                forecasts(_forecast(boxes, settings, made, platform))
             yield made
     if count == 0:
         refuse_seldom(first_s, "boxes", model)
 
 
-def _tracker(model: Georeferencer, standing: Standing, platform: Platform | None) -> Tracker:
+def _tracker(model: Georeferencer, platform: Platform | None) -> Tracker:
     if not follows_on_earth(model):
         return ImageTracker()
-    # What is not known of a turn moves all targets alike, so it tells none from another.
-    water = Conditions(water=standing.conditions.water)
     return WorldTracker(
-        lambda boxes: water.locate(boxes, model, platform, until_then=True), platform=platform
+        partial(positions_on_earth, platform=platform, until_then=True), platform=platform
     )
 
 
 def _forecast(
-    boxes: Boxes,
-    model: Georeferencer,
-    settings: TrackSettings,
-    track: Track,
-    platform: Platform | None,
-    conditions: Conditions,
+    boxes: LocatedBoxes, settings: TrackSettings, track: Track, platform: Platform | None
 ) -> Track:
     """The forecast of a track from its last position on."""
-    known = states(boxes, model, platform, conditions, track_id=track.track_id)
+    known = states(boxes, platform, track_id=track.track_id)
     assert known is not None, "the track is of these boxes"
     state = known[-1:]
     step = min(settings.forecast_interval_s, settings.forecast_s)
@@ -492,15 +471,29 @@ def check_platform(model: Georeferencer, platform: Platform | None, where: str =
         )
 
 
-def _positions(boxes: Boxes, model: Georeferencer, conditions: Conditions) -> Positions:
-    return boxes.positions if isinstance(boxes, LocatedBoxes) else conditions.locate(boxes, model)
+def positions_on_earth(
+    boxes: Boxes, platform: Platform | None = None, *, until_then: bool = False
+) -> Positions:
+    """The positions of located boxes on the earth.
+
+    Args:
+        boxes: `LocatedBoxes`.
+        platform: What the camera stands on, where that moves.
+        until_then: Whether that was where its fixes until each time tell.
+    """
+    if not isinstance(boxes, LocatedBoxes):
+        raise TypeError("boxes have positions once a model has placed them (Georeferencer.place)")
+    positions = boxes.positions
+    if isinstance(positions, Positions):
+        return positions
+    assert platform is not None, "refused by `check_platform`"
+    pose = platform.pose(boxes.time_utc_s, positions.plane, until_then=until_then)
+    return on_earth(positions, pose)
 
 
 def states(
-    boxes: Boxes,
-    model: Georeferencer,
-    platform: Platform | None,
-    conditions: Conditions,
+    boxes: LocatedBoxes,
+    platform: Platform | None = None,
     *,
     motion: MotionModel | None = None,
     track_id: int = 0,
@@ -510,56 +503,49 @@ def states(
     A camera that moves was where its own log says by its fixes until then.
 
     Args:
-        boxes: Of one target, levelled. Those that are located stay where they are.
-        model: Says where they lie.
+        boxes: Of one target.
         platform: What the camera stands on, where that moves.
-        conditions: How the camera lay, and how high the water stood.
         motion: How targets move. Absent: as vessels do.
         track_id: For messages.
 
     Returns:
         None where no box has a place.
     """
+    positions = positions_on_earth(boxes, platform, until_then=True)
+    if not positions.known.any():
+        return None
     if platform is None:
-        positions = _positions(boxes, model, conditions)
-        if not positions.known.any():
-            return None
         return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
     motion = motion or MotionModel()
     motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
-    pose = platform.pose(boxes.time_utc_s, model.plane, until_then=True)
-    positions = model.locate(boxes.xyxy_px, boxes.source, pose=pose)
-    if not positions.known.any():
-        return None
+    pose = platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
     followed = follow_motion(
         boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
     )
-    then = platform.pose(followed.time_utc_s, model.plane, until_then=True)
+    then = platform.pose(followed.time_utc_s, positions.plane, until_then=True)
     return followed.carried(then.covariance)
 
 
 def smooth_boxes(
-    boxes: Boxes,
-    model: Georeferencer,
+    boxes: LocatedBoxes,
     smoother: TrajectoryMethod,
     settings: TrackSettings,
     *,
     track_id: int,
     shortest_s: float = 0.0,
     platform: Platform | None = None,
-    conditions: Conditions | None = None,
 ) -> Track | None:
     """The smooth track of one target's boxes; None where they have positions for too short.
 
-    Boxes that are located stay where they are. Before a moving camera the path relative to it is
-    smoothed, and then put where the camera was.
+    Before a moving camera the path relative to it is smoothed, and then put where the camera was.
     """
+    plane = boxes.positions.plane
     positions: EastNorthPositions
-    if platform is None:
-        positions = _positions(boxes, model, conditions or Conditions())
+    if isinstance(boxes.positions, Positions):
+        positions = boxes.positions
     else:
-        body = model.locate_body(boxes.xyxy_px, boxes.source)
-        positions = north_up(body, platform.pose(boxes.time_utc_s, model.plane))
+        assert platform is not None, "refused by `check_platform`"
+        positions = north_up(boxes.positions, platform.pose(boxes.time_utc_s, plane))
     times = boxes.time_utc_s[positions.known]
     if not times.size or np.ptp(times) < shortest_s:
         return None
@@ -576,5 +562,5 @@ def smooth_boxes(
     )
     if platform is None:
         return made
-    moved = moved_track(made, platform.pose(made.time_utc_s, model.plane))
+    moved = moved_track(made, platform.pose(made.time_utc_s, plane))
     return moved if len(moved) else None

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from sightline.camera.horizon_tracker import HorizonWatch
+from sightline.camera.horizon_tracker import with_horizons
 from sightline.camera.motion import Stance
 from sightline.camera.static_intervals import LOOKS_APART_S, StanceWatch
 from sightline.errors import InputError
@@ -33,17 +33,12 @@ def scene_horizons(recording: Recording) -> Horizons | None:
 # Leaving one recording out at a time asks again and again, and a look at every picture takes long.
 @lru_cache(maxsize=32)
 def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
-    watch = HorizonWatch()
-    found = []
-    for frame in recording.frames():
-        watch.look(frame)
-        found.append(watch.seen)
-    return Horizons(
-        *(
-            np.concatenate([getattr(one, name) for one in found])
-            for name in ("time_utc_s", "left_y_px", "right_y_px")
-        )
-    )
+    seen = [
+        (frame.time_utc_s, *frame.horizon_px)
+        for frame in with_horizons(recording.frames())
+        if frame.horizon_px is not None and np.isfinite(frame.time_utc_s)
+    ]
+    return Horizons(*np.array(seen, dtype=np.float64).reshape(-1, 3).T)
 
 
 def scene_stances(scene: Scene, progress: Progress | None = None) -> dict[str, tuple[Stance, ...]]:
@@ -85,7 +80,7 @@ def recording_stances(recording: Recording) -> tuple[Stance, ...]:
         watch = StanceWatch()
         try:
             for frame in recording.frames(apart_s=LOOKS_APART_S):
-                watch.look(frame)
+                watch.observe(frame)
         except InputError as error:
             _logger.warning("nobody can tell whether the camera was turned: %s", error)
             watch = StanceWatch()

@@ -12,7 +12,7 @@ from sightline.camera.static_intervals import StanceWatch
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
 from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name
-from sightline.detection.run import Looker, detect, shown, usable
+from sightline.detection.run import FrameObserver, detect, observe, usable
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import remember_stances, stances_known
@@ -38,8 +38,8 @@ def lower_edges_of(detector: str) -> dict[str, LowerEdge | None]:
 class SceneDetections:
     """What is found in the pictures of a scene, decoded as seldom as can be.
 
-    Whatever wants to look at a recording's pictures at the same time as the detector is shown them
-    in the same pass. A pass holds one picture at a time.
+    Whatever is to observe a recording's pictures as the detector does observes them in the same
+    pass. A pass holds one picture at a time.
     """
 
     def __init__(
@@ -98,12 +98,12 @@ class SceneDetections:
             InputError: The pictures cannot be read.
         """
         if recording.name not in self._stills:
-            looker = still_picture(recording)
+            observer = still_picture(recording)
             for frame in recording.frames():
-                looker.look(frame)
-                if looker.seen_enough:
+                observer.observe(frame)
+                if observer.seen_enough:
                     break
-            self._stills[recording.name] = looker.picture()
+            self._stills[recording.name] = observer.picture()
         return self._stills[recording.name]
 
     def _detect(self, recording: Recording) -> None:
@@ -113,21 +113,21 @@ class SceneDetections:
             return
         assert self._detector is not None, "boxes are asked for where there is a detector"
         times = _Times()
-        lookers: list[Looker] = [times]
+        observers: list[FrameObserver] = [times]
         still: StillPicture | None = None
         if self._stills_wanted and recording.name not in self._stills:
             still = still_picture(recording)
-            lookers.append(still)
+            observers.append(still)
         stances: StanceWatch | None = None
         still_standing = self._scene.camera.watched and recording.platform_path is None
         if still_standing and not stances_known(recording):
             stances = StanceWatch()
-            lookers.append(stances)
+            observers.append(stances)
         where = f"recording {recording.name}"
         frames = usable(recording.frames(), self._scene.image_size_px, where)
         found = list(
             detect(
-                shown(frames, lookers),
+                observe(frames, observers),
                 detector_by_name(self._detector),
                 frame_count(recording.source),
                 lambda _what, share: self._tell(f"detecting in {recording.name}", share),
@@ -146,11 +146,11 @@ class _Times:
     def __init__(self) -> None:
         self.utc_s: list[float] = []
 
-    def look(self, frame: Frame) -> None:
+    def observe(self, frame: Frame) -> None:
         self.utc_s.append(frame.time_utc_s)
 
 
 def still_picture(recording: Recording) -> StillPicture:
-    """The median of the pictures of a recording, to be shown them from the first one on."""
+    """The median of the pictures of a recording, which is to observe them from the first one on."""
     # A folder holds pictures that somebody chose; in a video neighbours show the same waves.
     return StillPicture(every=1 if recording.frames_path is not None else _EVERY_OF_VIDEO)
