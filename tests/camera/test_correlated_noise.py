@@ -16,6 +16,7 @@ from sightline.camera.correlated_noise import (
     blocks_of,
     thinned,
 )
+from sightline.camera.parameters import LOG_FOCAL, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.simulation.traffic import Traffic
 from sightline.types import FloatArray
@@ -132,7 +133,7 @@ def test_vessels_of_one_feed_have_errors_of_their_own() -> None:
             time_s=boxes.time_utc_s[rows],
             vessel=owner[rows],
         )
-        sigma = np.sqrt(np.diag(model.fit_.covariance))[[1, 4]]
+        sigma = np.sqrt(np.diag(model.fit_.covariance))[[PITCH, LOG_FOCAL]]
         true = traffic.camera
         off = [
             np.radians(model.camera_.pitch_deg - true.pitch_deg),

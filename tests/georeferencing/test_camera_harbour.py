@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from sightline.camera.parameters import LOG_FOCAL, LOG_HEIGHT, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
 from sightline.synchronisation import synchronise
@@ -79,7 +80,7 @@ def learn(seed: int, noise: BoxNoise) -> Learned:
         height_share=camera.height_m / true.height_m - 1.0,
         focal_share=camera.focal_px / true.focal_length_px - 1.0,
         pitch_deg=camera.pitch_deg - true.pitch_deg,
-        in_sigmas=errors / sigma[[0, 4, 1]],
+        in_sigmas=errors / sigma[[LOG_HEIGHT, LOG_FOCAL, PITCH]],
         squared=squared,
     )
 

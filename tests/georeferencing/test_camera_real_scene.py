@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.camera.calibration import CameraFit
-from sightline.camera.pinhole import PARAMETERS
+from sightline.camera.parameters import CAMERA, HEADING
 from sightline.evaluation.comparison import Comparison
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
@@ -78,14 +78,13 @@ def test_halves_of_the_boxes_agree_with_all_of_them(
     scene: Scene, pairs: Pairs, full: CameraFit
 ) -> None:
     rng = np.random.default_rng(20)
-    count = len(PARAMETERS)
     for _ in range(20):
         rows = []
         for name in np.unique(pairs.recording):
             own = rng.permutation(np.flatnonzero(pairs.recording == name))
             rows.append(own[: max(1, own.size // 2)])
         half = fit_pairs(scene, pairs[np.sort(np.concatenate(rows))], starts=1)
-        off = half.vector[:count] - full.vector[:count]
-        off[3] = np.arctan2(np.sin(off[3]), np.cos(off[3]))
-        variance = np.diag(half.covariance)[:count] + np.diag(full.covariance)[:count]
+        off = half.vector[CAMERA] - full.vector[CAMERA]
+        off[HEADING] = np.arctan2(np.sin(off[HEADING]), np.cos(off[HEADING]))
+        variance = np.diag(half.covariance)[CAMERA] + np.diag(full.covariance)[CAMERA]
         assert (np.abs(off) < 3.0 * np.sqrt(variance)).all()

@@ -15,18 +15,16 @@ from sklearn.utils.validation import check_is_fitted
 from sightline.camera.calibration import CameraFit, fit_camera
 from sightline.camera.correlated_noise import LogError
 from sightline.camera.observations import NO_SOURCE, Sightings
-from sightline.camera.pinhole import (
-    BY_ABOVE,
-    BY_COLUMN,
-    BY_ROW,
-    PARAMETERS,
-    Camera,
-    locate_with_jacobian,
+from sightline.camera.parameters import (
+    CAMERA_AND_TARGET,
+    HALF_BEAM,
+    HALF_LENGTH,
+    SOURCE_PARAMETERS,
+    ParameterLayout,
 )
+from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
 from sightline.camera.priors import (
     ANY_ASPECT,
-    FIRST_SOURCE,
-    SOURCE_PARAMETERS,
     CameraPrior,
     PixelNoise,
     SourceBelief,
@@ -288,21 +286,21 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         fit, prior = self.fit_, self.prior or CameraPrior()
         name = self.sources_[0] if not source and len(self.sources_) == 1 else source
-        each = len(SOURCE_PARAMETERS)
         if name in self.sources_:
-            first = FIRST_SOURCE + each * self.sources_.index(name)
-            chosen = [*range(FIRST_SOURCE), first, first + 1]
-            return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
+            own = fit.layout.source(self.sources_.index(name))
+            chosen = np.r_[CAMERA_AND_TARGET, own]
+            return fit.vector[own], fit.covariance[np.ix_(chosen, chosen)]
         count = len(self.sources_)
         mean = np.array([prior.unseen_px, prior.unseen_m])
         expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
-        known = slice(FIRST_SOURCE, FIRST_SOURCE + each * count)
+        known, each = fit.layout.sources, len(SOURCE_PARAMETERS)
         squares = (fit.vector[known].reshape(-1, each) - mean) ** 2
         squares += np.diag(fit.covariance)[known].reshape(-1, each)
         spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
-        covariance = np.zeros((FIRST_SOURCE + each, FIRST_SOURCE + each))
-        covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
-        covariance[FIRST_SOURCE:, FIRST_SOURCE:] = np.diag(spread / (_UNSEEN_WEIGHT + count))
+        alone, both = ParameterLayout(n_sources=1, n_clocks=0), CAMERA_AND_TARGET
+        covariance = np.zeros((alone.size, alone.size))
+        covariance[both, both] = fit.covariance[both, both]
+        covariance[alone.sources, alone.sources] = np.diag(spread / (_UNSEEN_WEIGHT + count))
         return mean, covariance
 
     def _prepare(self) -> None:
@@ -310,7 +308,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # By how much a target moves while the clock is unsure, along either axis.
         self._clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
-        length, beam = self.fit_.vector[len(PARAMETERS) : FIRST_SOURCE]
+        length, beam = self.fit_.vector[HALF_LENGTH], self.fit_.vector[HALF_BEAM]
         self._hull_m = float(ANY_ASPECT * (length + beam))
         # The variance of length |cos| + beam |sin| over all aspects.
         aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self._hull_m**2
@@ -330,9 +328,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             values, vectors = np.linalg.eigh(covariance)
             root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
             # Nobody knows where the bow of a box points to: both halves of a hull count alike.
-            first, second = range(len(PARAMETERS), FIRST_SOURCE)
-            root[:, second] = ANY_ASPECT * (root[:, first] + root[:, second])
-            root = np.delete(root, first, axis=1)
+            root[:, HALF_BEAM] = ANY_ASPECT * (root[:, HALF_LENGTH] + root[:, HALF_BEAM])
+            root = np.delete(root, HALF_LENGTH, axis=1)
             # What the bias adds to the row is taken off before the place is looked up.
             root[:, BY_ROW] *= -1.0
             self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
@@ -573,7 +570,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
         model.sources_ = tuple(settings["sources"])
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
-        size = FIRST_SOURCE + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
+        size = ParameterLayout(len(model.sources_), clock_groups.size).size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
         nothing = np.empty(0)
         model.fit_ = CameraFit(

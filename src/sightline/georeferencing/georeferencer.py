@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.camera.motion import Stance
-from sightline.camera.pinhole import PARAMETERS, Camera
+from sightline.camera.parameters import LOG_FOCAL
+from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
 from sightline.camera.rotation import Turns
 from sightline.camera.stabilisation import level, nominal_camera
@@ -31,7 +32,6 @@ MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
 
 DEFAULT_MODEL = "camera+gpr"
 
-_FOCAL = PARAMETERS.index("focal_px")
 _VIEW = ("strips", "top_px", "left_px")
 _DAMAGE = (
     ArithmeticError,
@@ -212,7 +212,7 @@ class Georeferencer:
         if not isinstance(self.regressor, CameraRegressor) or self.moving:
             return None
         fit = self.regressor.fit_
-        focal_log_sigma = float(np.sqrt(fit.covariance[_FOCAL, _FOCAL]))
+        focal_log_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
         return Turns.of(stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
