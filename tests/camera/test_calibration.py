@@ -13,6 +13,7 @@ from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, PixelNoise, SourceBelief
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.observations import CameraObservations
 from sightline.types import FloatArray
 
 SIZE = (1280, 720)
@@ -281,10 +282,12 @@ def fit_path(seed: int, path: tuple[FloatArray, FloatArray], noise: PixelNoise) 
         hull_m=nothing,
         noise=noise,
     ).sightings
-    return CameraRegressor(SIZE, residual=False, starts=2).fit(
-        boxes_of(sightings.pixel_px),
-        np.stack([sightings.east_m, sightings.north_m], axis=1),
-        velocity_mps=sightings.velocity_mps,
+    return CameraRegressor(SIZE, residual=False, starts=2).fit_observations(
+        CameraObservations(
+            boxes_of(sightings.pixel_px),
+            np.stack([sightings.east_m, sightings.north_m], axis=1),
+            velocity_mps=sightings.velocity_mps,
+        )
     )
 
 
@@ -349,11 +352,13 @@ def test_boxes_of_a_source_that_nobody_knows_lie_in_their_ellipses() -> None:
     for seed in range(4):
         world = plant(seed, sources=2, hull_m=np.zeros(2))
         sightings = world.sightings
-        model = CameraRegressor(SIZE, residual=False, starts=2).fit(
-            boxes_of(sightings.pixel_px),
-            np.stack([sightings.east_m, sightings.north_m], axis=1),
-            source=np.array(["one", "other"])[sightings.source],
-            velocity_mps=sightings.velocity_mps,
+        model = CameraRegressor(SIZE, residual=False, starts=2).fit_observations(
+            CameraObservations(
+                boxes_of(sightings.pixel_px),
+                np.stack([sightings.east_m, sightings.north_m], axis=1),
+                source=np.array(["one", "other"])[sightings.source],
+                velocity_mps=sightings.velocity_mps,
+            )
         )
         truth = np.stack(places(world.camera, np.random.default_rng([seed, 79]), 60), axis=1)
         pixel = world.camera.project(*truth.T) - (0.0, 8.0)
@@ -374,12 +379,15 @@ def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> 
     for told in (prior, CameraPrior()):
         world = plant(1, bias=np.array([[3.0, -0.2]]), hull_m=np.zeros(2))
         sightings = world.sightings
-        model = CameraRegressor(SIZE, residual=False, prior=told, starts=2).fit(
-            boxes_of(sightings.pixel_px),
-            np.stack([sightings.east_m, sightings.north_m], axis=1),
-            source=np.full(len(sightings), "detector"),
-            velocity_mps=sightings.velocity_mps,
-            beliefs={"detector": belief},
+        model = CameraRegressor(
+            SIZE, residual=False, prior=told, source_priors={"detector": belief}, starts=2
+        ).fit_observations(
+            CameraObservations(
+                boxes_of(sightings.pixel_px),
+                np.stack([sightings.east_m, sightings.north_m], axis=1),
+                source=np.full(len(sightings), "detector"),
+                velocity_mps=sightings.velocity_mps,
+            )
         )
         truth = np.stack(places(world.camera, np.random.default_rng(83), 60), axis=1)
         pixel = world.camera.project(*truth.T, np.full(60, margin[1]))

@@ -10,6 +10,7 @@ from sightline.camera.parameters import CAMERA, HEADING
 from sightline.evaluation.comparison import Comparison
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.observations import CameraObservations
 from sightline.pipeline.evaluate import compare
 from sightline.scene import Scene
 from sightline.scene.correspondences import scene_pairs
@@ -37,14 +38,15 @@ def full(scene: Scene, pairs: Pairs) -> CameraFit:
 
 
 def fit_pairs(scene: Scene, pairs: Pairs, *, starts: int) -> CameraFit:
-    model = CameraRegressor(scene.image_size_px, residual=False, starts=starts).fit(
+    observations = CameraObservations(
         pairs.boxes.xyxy_px,
         pairs.east_north_m,
         source=pairs.boxes.source,
-        group=pairs.recording,
+        recording=pairs.recording,
         velocity_mps=pairs.velocity_mps,
     )
-    return model.fit_
+    model = CameraRegressor(scene.image_size_px, residual=False, starts=starts)
+    return model.fit_observations(observations).fit_
 
 
 def test_a_recording_left_out_is_placed_within_a_few_metres(comparison: Comparison) -> None:

@@ -14,10 +14,11 @@ from sightline.camera.rotation import Turns, reference_view
 from sightline.camera.stabilisation import level, nominal_camera
 from sightline.errors import FitError, unknown_name
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.camera_regressor import CONTROL_POINT_SIGMA_M, CameraRegressor
+from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
 from sightline.georeferencing.fit_report import fit_report
 from sightline.georeferencing.georeferencer import DEFAULT_MODEL, MODELS, Georeferencer
+from sightline.georeferencing.observations import CONTROL_POINT_SIGMA_M, CameraObservations
 from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel, paper_model
 from sightline.georeferencing.support import Support
 from sightline.progress import Progress
@@ -232,34 +233,24 @@ def _fit_pairs(
         places = regressor.predict(boxes)[0]
         pixels = foot
     else:
+        known = Landmarks(
+            np.concatenate([control.pixel_px, far.pixel_px]),
+            np.concatenate([control_east_north, far.east_north_m]),
+            np.concatenate([np.full(len(control), CONTROL_POINT_SIGMA_M), far.sigma_m]),
+        )
         regressor = CameraRegressor(
             image_size_px,
             # On a vessel the waves that lift the camera while a target passes a place would be
             # learned as of the place.
             residual=model == "camera+gpr" and not scene.moves,
             prior=prior,
+            source_priors=beliefs,
             position_known=position_known,
             heaving=scene.moves,
             starts=8 if position_known else 24,
             random_state=seed,
             above_sigma_m=0.0 if water_level_m is None else LEVEL_SIGMA_M,
-        ).fit(
-            boxes,
-            pairs.east_north_m,
-            source=pairs.boxes.source,
-            group=pairs.recording,
-            vessel=pairs.vessel,
-            velocity_mps=pairs.velocity_mps,
-            time_s=pairs.boxes.time_utc_s,
-            above_m=above_m,
-            beside=pairs.beside,
-            control_px=np.concatenate([control.pixel_px, far.pixel_px]),
-            control_east_north_m=np.concatenate([control_east_north, far.east_north_m]),
-            control_sigma_m=np.concatenate(
-                [np.full(len(control), CONTROL_POINT_SIGMA_M), far.sigma_m]
-            ),
-            beliefs=beliefs,
-        )
+        ).fit_observations(CameraObservations.of(pairs, above_m=above_m, landmarks=known))
         places = regressor.predict(boxes, source=pairs.boxes.source, above_m=above_m)
         pixels = np.concatenate([foot, control.pixel_px])
     report = fit_report(model, regressor, pairs, places, len(control))
