@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.camera.parameters import LOG_FOCAL, LOG_HEIGHT, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.fit import fit
@@ -36,7 +37,7 @@ def off(model: Georeferencer, harbour: Harbour) -> FloatArray:
     camera, true = model.camera, harbour.camera
     assert camera is not None
     assert isinstance(model.regressor, CameraRegressor)
-    sigma = np.sqrt(np.diag(model.regressor.fit_.covariance))[[0, 4, 1]]
+    sigma = np.sqrt(np.diag(model.regressor.fit_.covariance))[[LOG_HEIGHT, LOG_FOCAL, PITCH]]
     error = np.array(
         [
             np.log(camera.height_m / true.height_m),

@@ -8,10 +8,12 @@ from scipy.stats import chi2
 
 from sightline.camera.calibration import CameraFit, fit_camera
 from sightline.camera.observations import Sightings
-from sightline.camera.pinhole import PARAMETERS, Camera
-from sightline.camera.priors import FIRST_SOURCE, CameraPrior, PixelNoise, SourceBelief
+from sightline.camera.parameters import CAMERA, HEADING, LOG_FOCAL, PARAMETERS, PITCH, TARGET
+from sightline.camera.pinhole import Camera
+from sightline.camera.priors import CameraPrior, PixelNoise, SourceBelief
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.observations import CameraObservations
 from sightline.types import FloatArray
 
 SIZE = (1280, 720)
@@ -125,8 +127,8 @@ def fit_world(world: World, sources: int = 1, starts: int = 3) -> CameraFit:
 
 def difference(fit: CameraFit, camera: Camera) -> FloatArray:
     """(9,) fitted minus true parameters, as the fit sees them."""
-    off = fit.vector[: len(PARAMETERS)] - camera.to_vector()
-    off[3] = np.arctan2(np.sin(off[3]), np.cos(off[3]))
+    off = fit.vector[CAMERA] - camera.to_vector()
+    off[HEADING] = np.arctan2(np.sin(off[HEADING]), np.cos(off[HEADING]))
     return off
 
 
@@ -150,14 +152,13 @@ def fitted() -> list[tuple[World, CameraFit]]:
 def test_a_planted_camera_is_found_as_surely_as_stated(
     fitted: list[tuple[World, CameraFit]],
 ) -> None:
-    count = len(PARAMETERS)
     total = 0.0
     for world, fit in fitted:
-        off, covariance = difference(fit, world.camera), fit.covariance[:count, :count]
+        off, covariance = difference(fit, world.camera), fit.covariance[CAMERA, CAMERA]
         assert (np.abs(off) < 3.5 * np.sqrt(np.diag(covariance))).all()
         assert fit.starts_agreeing == fit.starts
         total += squared(off, covariance)
-    low, high = chi2.ppf([0.005, 0.995], count * len(fitted))
+    low, high = chi2.ppf([0.005, 0.995], len(PARAMETERS) * len(fitted))
     assert low < total < high
 
 
@@ -167,12 +168,11 @@ def test_hulls_and_clocks_are_found_as_surely_as_stated(
     total, count = 0.0, 0
     for world, fit in fitted:
         clocks = fit.clock_offset_s - world.clock_s
-        hull = fit.vector[len(PARAMETERS) : FIRST_SOURCE] - world.hull_m
+        hull = fit.vector[TARGET] - world.hull_m
         n = clocks.size
         assert n == 5
-        total += squared(clocks, fit.covariance[-n:, -n:])
-        own = slice(len(PARAMETERS), FIRST_SOURCE)
-        total += squared(hull, fit.covariance[own, own])
+        total += squared(clocks, fit.covariance[fit.layout.clocks, fit.layout.clocks])
+        total += squared(hull, fit.covariance[TARGET, TARGET])
         count += n + hull.size
     low, high = chi2.ppf([0.005, 0.995], count)
     assert low < total < high
@@ -198,13 +198,10 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
     total = 0.0
     for seed in SEEDS:
         fit = fit_world(plant(seed, sources=2, bias=planted), sources=2, starts=2)
-        apart = (
-            fit.vector[FIRST_SOURCE + 2 : FIRST_SOURCE + 4]
-            - fit.vector[FIRST_SOURCE : FIRST_SOURCE + 2]
-        )
+        one, other = fit.layout.source(0), fit.layout.source(1)
+        apart = fit.vector[other] - fit.vector[one]
         take = np.zeros((2, fit.vector.size))
-        take[[0, 1], FIRST_SOURCE + np.arange(2)] = -1.0
-        take[[0, 1], FIRST_SOURCE + 2 + np.arange(2)] = 1.0
+        take[:, one], take[:, other] = -np.eye(2), np.eye(2)
         covariance = take @ fit.covariance @ take.T
         assert np.sqrt(covariance[1, 1]) < 0.2
         off = apart - planted[1]
@@ -222,9 +219,9 @@ def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
         world = plant(seed, bias=planted)
         for beliefs, off in (({0: belief}, believed), (None, untold)):
             fit = fit_camera(world.sightings, SIZE, n_sources=1, beliefs=beliefs, starts=2)
-            off.append(difference(fit, world.camera)[1])
+            off.append(difference(fit, world.camera)[PITCH])
             if beliefs:
-                assert abs(off[-1]) < 3.5 * np.sqrt(fit.covariance[1, 1])
+                assert abs(off[-1]) < 3.5 * np.sqrt(fit.covariance[PITCH, PITCH])
     assert np.median(np.abs(believed)) < 0.5 * np.median(np.abs(untold))
 
 
@@ -285,10 +282,12 @@ def fit_path(seed: int, path: tuple[FloatArray, FloatArray], noise: PixelNoise) 
         hull_m=nothing,
         noise=noise,
     ).sightings
-    return CameraRegressor(SIZE, residual=False, starts=2).fit(
-        boxes_of(sightings.pixel_px),
-        np.stack([sightings.east_m, sightings.north_m], axis=1),
-        velocity_mps=sightings.velocity_mps,
+    return CameraRegressor(SIZE, residual=False, starts=2).fit_observations(
+        CameraObservations(
+            boxes_of(sightings.pixel_px),
+            np.stack([sightings.east_m, sightings.north_m], axis=1),
+            velocity_mps=sightings.velocity_mps,
+        )
     )
 
 
@@ -342,7 +341,8 @@ def test_an_inexact_log_of_a_path_straight_away_leaves_the_focal_length_open() -
         model = fit_path(seed, AWAY, NOISE)
         fit = model.fit_
         assert {"height_m", "focal_px"} <= undetermined(model)
-        z = (fit.vector[4] - np.log(AHEAD.focal_px)) / np.sqrt(fit.covariance[4, 4])
+        sigma = np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL])
+        z = (fit.vector[LOG_FOCAL] - np.log(AHEAD.focal_px)) / sigma
         assert np.abs(z) < 3.5
 
 
@@ -352,11 +352,13 @@ def test_boxes_of_a_source_that_nobody_knows_lie_in_their_ellipses() -> None:
     for seed in range(4):
         world = plant(seed, sources=2, hull_m=np.zeros(2))
         sightings = world.sightings
-        model = CameraRegressor(SIZE, residual=False, starts=2).fit(
-            boxes_of(sightings.pixel_px),
-            np.stack([sightings.east_m, sightings.north_m], axis=1),
-            source=np.array(["one", "other"])[sightings.source],
-            velocity_mps=sightings.velocity_mps,
+        model = CameraRegressor(SIZE, residual=False, starts=2).fit_observations(
+            CameraObservations(
+                boxes_of(sightings.pixel_px),
+                np.stack([sightings.east_m, sightings.north_m], axis=1),
+                source=np.array(["one", "other"])[sightings.source],
+                velocity_mps=sightings.velocity_mps,
+            )
         )
         truth = np.stack(places(world.camera, np.random.default_rng([seed, 79]), 60), axis=1)
         pixel = world.camera.project(*truth.T) - (0.0, 8.0)
@@ -377,12 +379,15 @@ def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> 
     for told in (prior, CameraPrior()):
         world = plant(1, bias=np.array([[3.0, -0.2]]), hull_m=np.zeros(2))
         sightings = world.sightings
-        model = CameraRegressor(SIZE, residual=False, prior=told, starts=2).fit(
-            boxes_of(sightings.pixel_px),
-            np.stack([sightings.east_m, sightings.north_m], axis=1),
-            source=np.full(len(sightings), "detector"),
-            velocity_mps=sightings.velocity_mps,
-            beliefs={"detector": belief},
+        model = CameraRegressor(
+            SIZE, residual=False, prior=told, source_priors={"detector": belief}, starts=2
+        ).fit_observations(
+            CameraObservations(
+                boxes_of(sightings.pixel_px),
+                np.stack([sightings.east_m, sightings.north_m], axis=1),
+                source=np.full(len(sightings), "detector"),
+                velocity_mps=sightings.velocity_mps,
+            )
         )
         truth = np.stack(places(world.camera, np.random.default_rng(83), 60), axis=1)
         pixel = world.camera.project(*truth.T, np.full(60, margin[1]))
@@ -409,7 +414,7 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
         np.sqrt(
             np.diag(
                 fit_camera(s, SIZE, n_sources=1, prior=known, noise=noise, starts=2).covariance
-            )[: len(PARAMETERS)]
+            )[CAMERA]
         )
         for s in (once, twice, apart)
     ]

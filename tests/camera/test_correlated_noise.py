@@ -16,7 +16,9 @@ from sightline.camera.correlated_noise import (
     blocks_of,
     thinned,
 )
+from sightline.camera.parameters import LOG_FOCAL, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.observations import CameraObservations
 from sightline.simulation.traffic import Traffic
 from sightline.types import FloatArray
 
@@ -125,14 +127,17 @@ def test_vessels_of_one_feed_have_errors_of_their_own() -> None:
             at = path.at(boxes.time_utc_s[own] + traffic.offset_s)
             east_north_m[own], velocity_mps[own] = at.east_north_m, at.velocity_mps
         rows = np.flatnonzero(np.isfinite(east_north_m).all(axis=1))[::4]
-        model = CameraRegressor(traffic.camera.image_size_px, residual=False, starts=2).fit(
-            boxes.xyxy_px[rows],
-            east_north_m[rows],
-            velocity_mps=velocity_mps[rows],
-            time_s=boxes.time_utc_s[rows],
-            vessel=owner[rows],
+        model = CameraRegressor(traffic.camera.image_size_px, residual=False, starts=2)
+        model.fit_observations(
+            CameraObservations(
+                boxes.xyxy_px[rows],
+                east_north_m[rows],
+                velocity_mps=velocity_mps[rows],
+                time_s=boxes.time_utc_s[rows],
+                vessel=owner[rows],
+            )
         )
-        sigma = np.sqrt(np.diag(model.fit_.covariance))[[1, 4]]
+        sigma = np.sqrt(np.diag(model.fit_.covariance))[[PITCH, LOG_FOCAL]]
         true = traffic.camera
         off = [
             np.radians(model.camera_.pitch_deg - true.pitch_deg),

@@ -9,12 +9,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from sightline.camera.parameters import PARAMETERS
 from sightline.camera.pinhole import (
     BY_ABOVE,
     BY_BEYOND,
     BY_COLUMN,
     BY_ROW,
-    PARAMETERS,
     Camera,
     locate_with_jacobian,
     project_with_jacobian,

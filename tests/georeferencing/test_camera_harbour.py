@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from sightline.camera.parameters import LOG_FOCAL, LOG_HEIGHT, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.observations import CameraObservations
 from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
 from sightline.synchronisation import synchronise
 from sightline.types import FloatArray
@@ -50,14 +52,16 @@ def learn(seed: int, noise: BoxNoise) -> Learned:
     place = synchronise(harbour.fixes(ReceiverNoise()), boxes.time_utc_s, harbour.plane)
     window = ((boxes.time_utc_s - harbour.start_utc_s) // WINDOW_S).astype(np.int64)
     rows = place.matched & (window < WINDOWS - 1)
-    model = CameraRegressor(harbour.camera.image_size_px, residual=False, starts=2).fit(
+    observations = CameraObservations(
         boxes.xyxy_px[rows],
         np.stack([place.east_m, place.north_m], axis=1)[rows],
         source=boxes.source[rows],
-        group=window[rows],
+        recording=window[rows],
         velocity_mps=np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)[rows],
         time_s=boxes.time_utc_s[rows],
     )
+    model = CameraRegressor(harbour.camera.image_size_px, residual=False, starts=2)
+    model.fit_observations(observations)
     unseen = boxes[window == WINDOWS - 1]
     found, covariance = model.predict(unseen.xyxy_px, source=unseen.source, return_cov=True)
     truth = harbour.truth(unseen.time_utc_s)
@@ -79,7 +83,7 @@ def learn(seed: int, noise: BoxNoise) -> Learned:
         height_share=camera.height_m / true.height_m - 1.0,
         focal_share=camera.focal_px / true.focal_length_px - 1.0,
         pitch_deg=camera.pitch_deg - true.pitch_deg,
-        in_sigmas=errors / sigma[[0, 4, 1]],
+        in_sigmas=errors / sigma[[LOG_HEIGHT, LOG_FOCAL, PITCH]],
         squared=squared,
     )
 
@@ -126,13 +130,15 @@ def test_two_sources_of_one_moment_do_not_make_the_log_absurd(seed: int) -> None
     when = np.concatenate([drawn.time_utc_s, found.time_utc_s])
     place = synchronise(harbour.fixes(ReceiverNoise()), when, harbour.plane)
     rows = place.matched
-    model = CameraRegressor(harbour.camera.image_size_px, residual=False).fit(
+    observations = CameraObservations(
         boxes[rows],
         np.stack([place.east_m, place.north_m], axis=1)[rows],
         source=np.concatenate([drawn.source, found.source])[rows],
         velocity_mps=np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)[rows],
         time_s=when[rows],
     )
+    model = CameraRegressor(harbour.camera.image_size_px, residual=False)
+    model.fit_observations(observations)
     camera, true = model.camera_, harbour.camera
     assert abs(camera.height_m / true.height_m - 1.0) < 0.25
     assert abs(camera.focal_px / true.focal_length_px - 1.0) < 0.15

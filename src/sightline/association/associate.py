@@ -10,6 +10,7 @@ import numpy as np
 from sightline.association.evidence import Match, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
 from sightline.association.search import Watch, candidates
+from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -192,7 +193,7 @@ def _differ(one: _Judged, other: _Judged) -> bool:
     """Whether two explanations say something else of the vessels, the clock or the camera."""
     mine = {(m.recording, m.vessel) for m in one.matches}
     theirs = {(m.recording, m.vessel) for m in other.matches}
-    turn = np.degrees(one.explanation.vector[3] - other.explanation.vector[3])
+    turn = np.degrees(one.explanation.vector[HEADING] - other.explanation.vector[HEADING])
     if abs((turn + 180.0) % 360.0 - 180.0) > _SAME_HEADING_DEG:
         return True
     if len(mine & theirs) < 0.5 * len(mine | theirs):

@@ -21,6 +21,7 @@ from numpy.polynomial import legendre
 from sightline.association.observations import Observations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
 from sightline.association.search import Watch, clutter_per_px2
+from sightline.camera.parameters import HEADING
 from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
 
@@ -162,9 +163,9 @@ def cost(found: Explanation, largest_offset_s: float, image_size_px: tuple[int, 
     anywhere = 2.0 * max(largest_offset_s, 1e-3) / np.sqrt(12.0)
     alike = anywhere if offsets == 1 else min(CLOCKS_ALIKE_S, anywhere)
     sigma = np.concatenate([sigma[:camera], np.full(offsets, alike)])
-    sigma[3] = 2.0 * np.pi / np.sqrt(12.0)
+    sigma[HEADING] = 2.0 * np.pi / np.sqrt(12.0)
     off = (found.vector - mean[:camera]) / sigma[:camera]
-    off[3] = 0.0
+    off[HEADING] = 0.0
     narrowed = found.covariance / np.outer(sigma, sigma)
     _, log_determinant = np.linalg.slogdet(narrowed)
     return float(0.5 * np.sum(off**2) - 0.5 * min(log_determinant, 0.0) + np.log(anywhere / alike))

@@ -14,11 +14,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.association.search import Candidate, Watch, clutter_per_px2
-from sightline.camera.pinhole import PARAMETERS, Camera, project_with_jacobian
+from sightline.camera.parameters import (
+    CAMERA,
+    EAST,
+    HEADING,
+    K1,
+    K2,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    NORTH,
+    PARAMETERS,
+    PITCH,
+    POSITION,
+    ROLL,
+    camera_vector,
+)
+from sightline.camera.pinhole import Camera, project_with_jacobian
 from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
 
-_N = len(PARAMETERS)
+# A state is a camera, then the clock offset of each recording.
+_CLOCKS = slice(len(PARAMETERS), None)
 _SEEN_SHARE = 0.7
 """How often a vessel in view has a box."""
 CLOCKS_ALIKE_S = 2.0
@@ -31,6 +47,20 @@ _MARGIN = 0.25
 _LARGEST_PX = 60.0
 # Boxes of one track are alike in error for about this long.
 ALIKE_S = 2.0
+
+_LONGEST_STEP = camera_vector(
+    {
+        LOG_HEIGHT: 0.4,
+        PITCH: 0.08,
+        ROLL: 0.03,
+        HEADING: 0.08,
+        LOG_FOCAL: 0.2,
+        K1: 0.08,
+        K2: 0.05,
+        EAST: 2.0,
+        NORTH: 2.0,
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -105,11 +135,11 @@ class Refiner:
         mean, sigma = (prior or CameraPrior(k1_sigma=0.2)).moments(
             image_size_px, 0, 0, position_known=True
         )
-        self._mean = np.concatenate([mean[:_N], np.zeros(len(watches))])
+        self._mean = np.concatenate([mean[CAMERA], np.zeros(len(watches))])
         alone = len(watches) == 1
         held_s = max(largest_offset_s, 1e-3) if alone else min(CLOCKS_ALIKE_S, largest_offset_s)
         self._precision = np.concatenate(
-            [sigma[:_N] ** -2.0, np.full(len(watches), max(held_s, 1e-3) ** -2.0)]
+            [sigma[CAMERA] ** -2.0, np.full(len(watches), max(held_s, 1e-3) ** -2.0)]
         )
         self._vessels = [list(range(len(watch.paths))) for watch in watches]
         self._clutter = [clutter_per_px2(watch.seen, image_size_px) for watch in watches]
@@ -118,7 +148,7 @@ class Refiner:
         """The explanation that a candidate leads to."""
         state = np.concatenate([start.vector, start.offset_s])
         if len(self.watches) > 1:
-            self._mean[_N:] = start.offset_s
+            self._mean[_CLOCKS] = start.offset_s
         self._choose(state)
         noise = noise or FootNoise()
         for widen in np.geomspace(_WIDEST, 1.0, _ROUNDS):
@@ -142,7 +172,7 @@ class Refiner:
             if abs(found.offset_s[index] - common_s) < CLOCKS_ALIKE_S:
                 continue
             state = np.concatenate([found.vector, found.offset_s])
-            state[_N + index] = common_s
+            state[_clock(index)] = common_s
             for widen in np.geomspace(_AGAIN, 1.0, _ROUNDS):
                 state = self._step(state, found.noise, float(widen))
             other = self.explain(state, found.noise)
@@ -153,7 +183,7 @@ class Refiner:
     def _likelihood(self, found: Explanation) -> float:
         """The logarithm of how likely an explanation is, but for a constant."""
         off = np.concatenate([found.vector, found.offset_s]) - self._mean
-        off[3] = 0.0
+        off[HEADING] = 0.0
         return found.score - 0.5 * float(np.sum(self._precision * off**2))
 
     def explain(self, state: FloatArray, noise: FootNoise) -> Explanation:
@@ -176,8 +206,8 @@ class Refiner:
             pixels.append(pixel)
             information += self._normal(found, index, share)[0]
         return Explanation(
-            vector=state[:_N].copy(),
-            offset_s=state[_N:].copy(),
+            vector=state[CAMERA].copy(),
+            offset_s=state[_CLOCKS].copy(),
             noise=noise,
             score=float(score),
             share=tuple(shares),
@@ -188,15 +218,15 @@ class Refiner:
 
     def _choose(self, state: FloatArray) -> None:
         """Look only at vessels that the camera, or one turned a little, may have seen."""
-        half = np.arctan(0.5 * self.image_size_px[0] / np.exp(state[4])) + _MARGIN
+        half = np.arctan(0.5 * self.image_size_px[0] / np.exp(state[LOG_FOCAL])) + _MARGIN
         self._vessels = []
         for index, watch in enumerate(self.watches):
             times = watch.seen.time_utc_s
             at = np.linspace(times.min(), times.max(), 120) if times.size else times
             chosen = []
             for v, path in enumerate(watch.paths):
-                place = path.at(at + state[_N + index]).east_north_m
-                turn = np.arctan2(place[:, 0], place[:, 1]) - state[3]
+                place = path.at(at + state[_clock(index)]).east_north_m
+                turn = np.arctan2(place[:, 0], place[:, 1]) - state[HEADING]
                 turn = np.abs(np.arctan2(np.sin(turn), np.cos(turn)))
                 # A log with gaps may tell of a moment that was not asked for.
                 if (turn < half).any() or (len(watch.paths) == 1):
@@ -204,14 +234,15 @@ class Refiner:
             self._vessels.append(chosen)
 
     def _predict(self, state: FloatArray, index: int, noise: FootNoise) -> _Predicted:
-        watch, vector = self.watches[index], state[:_N]
-        times = watch.seen.time_utc_s + state[_N + index]
+        watch, vector = self.watches[index], state[CAMERA]
+        times = watch.seen.time_utc_s + state[_clock(index)]
+        sin_h, cos_h = np.sin(vector[HEADING]), np.cos(vector[HEADING])
         places, speeds, sigmas, vessels, rows = [], [], [], [], []
         for v in self._vessels[index]:
             at = watch.paths[v].at(times)
-            offset = at.east_north_m - vector[7:9]
-            ahead = np.sin(vector[3]) * offset[:, 0] + np.cos(vector[3]) * offset[:, 1]
-            side = np.cos(vector[3]) * offset[:, 0] - np.sin(vector[3]) * offset[:, 1]
+            offset = at.east_north_m - vector[POSITION]
+            ahead = sin_h * offset[:, 0] + cos_h * offset[:, 1]
+            side = cos_h * offset[:, 0] - sin_h * offset[:, 1]
             known = np.flatnonzero((ahead > 3.0) & (np.abs(side) < 2.5 * ahead))
             places.append(at.east_north_m[known])
             speeds.append(at.velocity_mps[known])
@@ -224,12 +255,13 @@ class Refiner:
             vector, self.image_size_px, place[:, 0], place[:, 1], above
         )
         speed, untold = np.concatenate([np.empty((0, 2)), *speeds]), np.concatenate([[], *sigmas])
-        slant2 = np.sum((place - vector[7:9]) ** 2, axis=1) + np.exp(2.0 * vector[0])
+        height2 = np.exp(2.0 * vector[LOG_HEIGHT])
+        slant2 = np.sum((place - vector[POSITION]) ** 2, axis=1) + height2
         per_metre = np.hypot(by_point[:, :, 0], by_point[:, :, 1])
         own = np.stack(
             [
                 np.full(len(place), noise.column_px**2),
-                noise.row_px**2 + noise.row_m**2 * np.exp(2.0 * vector[4]) / slant2,
+                noise.row_px**2 + noise.row_m**2 * np.exp(2.0 * vector[LOG_FOCAL]) / slant2,
             ],
             axis=1,
         )
@@ -237,8 +269,8 @@ class Refiner:
         # The lens model folds far outside the picture; nothing there is in view.
         width, _height = self.image_size_px
         camera = Camera.from_vector(vector, self.image_size_px)
-        offset = place - vector[7:9]
-        bearing = np.arctan2(offset[:, 0], offset[:, 1]) - vector[3]
+        offset = place - vector[POSITION]
+        bearing = np.arctan2(offset[:, 0], offset[:, 1]) - vector[HEADING]
         valid = (np.tan(bearing) ** 2 < min(camera.largest_radius, 3.0) ** 2) & (
             (pixel[:, 0] > -0.1 * width) & (pixel[:, 0] < 1.1 * width)
         )
@@ -273,12 +305,12 @@ class Refiner:
     ) -> tuple[FloatArray, FloatArray]:
         """The normal equations of one recording, over camera and all clocks."""
         seen = self.watches[index].seen
-        size = _N + len(self.watches)
+        size = len(PARAMETERS) + len(self.watches)
         sigma = found.sigma_px * widen
         rows = np.flatnonzero(share > 1e-3)
         jacobian = np.zeros((rows.size, 2, size))
-        jacobian[:, :, :_N] = found.by_camera[rows]
-        jacobian[:, :, _N + index] = found.by_offset[rows]
+        jacobian[:, :, CAMERA] = found.by_camera[rows]
+        jacobian[:, :, _clock(index)] = found.by_offset[rows]
         jacobian /= sigma[rows][:, :, None]
         residual = (seen.foot_px[found.row[rows]] - found.pixel_px[rows]) / sigma[rows]
         weight = share[rows] * min(seen.interval_s / ALIKE_S, 1.0)
@@ -293,15 +325,10 @@ class Refiner:
             one, other = self._normal(found, index, share, widen)
             matrix, right = matrix + one, right + other
         move = np.linalg.lstsq(matrix, right, rcond=None)[0]
-        limit = np.concatenate(
-            [
-                [0.4, 0.08, 0.03, 0.08, 0.2, 0.08, 0.05, 2.0, 2.0],
-                np.full(len(self.watches), 2.0),
-            ]
-        )
+        limit = np.concatenate([_LONGEST_STEP, np.full(len(self.watches), 2.0)])
         out = state + np.clip(move, -limit, limit)
-        out[5] = max(out[5], -0.5)
-        out[_N:] = np.clip(out[_N:], -self.largest_offset_s, self.largest_offset_s)
+        out[K1] = max(out[K1], -0.5)
+        out[_CLOCKS] = np.clip(out[_CLOCKS], -self.largest_offset_s, self.largest_offset_s)
         return np.asarray(out)
 
     def _noise(self, state: FloatArray, noise: FootNoise, widen: float) -> FootNoise:
@@ -327,6 +354,11 @@ class Refiner:
             place_m=float(np.clip(noise.place_m * change[0], 0.7, 6.0)),
             row_m=float(np.clip(noise.row_m * change[1], 0.1, 1.0)),
         )
+
+
+def _clock(index: int) -> int:
+    """Slot of a recording's clock offset in a state."""
+    return len(PARAMETERS) + index
 
 
 def _weighted_median(values: FloatArray, weight: FloatArray) -> float:

@@ -17,6 +17,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sightline.association.observations import Observations
+from sightline.camera.parameters import (
+    HEADING,
+    K1,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    PITCH,
+    camera_vector,
+)
 from sightline.camera.priors import CameraPrior
 from sightline.logged_path import LoggedPath
 from sightline.types import FloatArray, IntArray
@@ -68,7 +76,7 @@ class Candidate:
     """A camera to start from.
 
     Attributes:
-        vector: (9,) as in `sightline.camera.pinhole.PARAMETERS`.
+        vector: (9,) as in `sightline.camera.parameters.PARAMETERS`.
         offset_s: (R,) of each recording's clock: what is to be added to it. The recordings of a
             camera have a clock, so that they begin alike.
         votes: How many votes it has.
@@ -164,18 +172,14 @@ def candidates(
         focal_px, k1 = lenses[lens]
         out.append(
             Candidate(
-                vector=np.array(
-                    [
-                        np.log(_HEIGHTS_M[height]),
-                        np.radians(pitch),
-                        0.0,
-                        np.radians(heading),
-                        np.log(focal_px),
-                        k1,
-                        0.0,
-                        0.0,
-                        0.0,
-                    ]
+                vector=camera_vector(
+                    {
+                        LOG_HEIGHT: np.log(_HEIGHTS_M[height]),
+                        PITCH: np.radians(pitch),
+                        HEADING: np.radians(heading),
+                        LOG_FOCAL: np.log(focal_px),
+                        K1: k1,
+                    }
                 ),
                 offset_s=np.full(len(watches), offsets[which[lens, height, i, j]]),
                 votes=float(total[lens, height, i, j]),

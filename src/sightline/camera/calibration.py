@@ -21,13 +21,27 @@ from scipy.optimize import least_squares, minimize
 
 from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
 from sightline.camera.observations import NO_SOURCE, Sightings, _check_enough
-from sightline.camera.pinhole import PARAMETERS, Camera, project_with_jacobian
+from sightline.camera.parameters import (
+    BIAS_M,
+    BIAS_PX,
+    CAMERA,
+    EAST,
+    HEADING,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    NORTH,
+    PARAMETERS,
+    PITCH,
+    POSITION,
+    SOURCE_PARAMETERS,
+    TARGET,
+    ParameterLayout,
+)
+from sightline.camera.pinhole import Camera, project_with_jacobian
 from sightline.camera.priors import (
     _NOISE_CENTRE,
     _NOISE_WIDTH,
     ANY_ASPECT,
-    FIRST_SOURCE,
-    SOURCE_PARAMETERS,
     CameraPrior,
     PixelNoise,
     SourceBelief,
@@ -35,7 +49,6 @@ from sightline.camera.priors import (
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
 
-_N = len(PARAMETERS)
 _HUBER = 2.0
 _OUTLIER = 4.0
 # A start first sees the data through noise so many times wider, under which the posterior is
@@ -71,9 +84,8 @@ class CameraFit:
     """A fitted camera, and how well it is known.
 
     Attributes:
-        vector: (11 + 2 S + G,) float64, the camera's parameter vector, then `TARGET_PARAMETERS`,
-            then `SOURCE_PARAMETERS` of each source, then how many seconds the clock of each
-            recording is to be moved on to agree with the log.
+        vector: (11 + 2 S + G,) float64, in the order of `layout`; a clock offset is how many
+            seconds a recording's clock is to be moved on to agree with the log.
         covariance: Square, of ``vector``.
         prior_sigma: (11 + 2 S + G,) float64, infinite where there was no prior.
         clock_groups: (G,) int64, the recordings whose clocks were estimated.
@@ -105,14 +117,19 @@ class CameraFit:
     typical_range_m: float
 
     @property
+    def layout(self) -> ParameterLayout:
+        """Which slot of ``vector`` holds what."""
+        return ParameterLayout.of(self.vector.size, self.clock_groups.size)
+
+    @property
     def camera(self) -> Camera:
         """The camera itself."""
-        return Camera.from_vector(self.vector[:_N], self.image_size_px)
+        return Camera.from_vector(self.vector[CAMERA], self.image_size_px)
 
     @property
     def clock_offset_s(self) -> FloatArray:
         """(G,) seconds that each recording's clock is to be moved on."""
-        return self.vector[self.vector.size - self.clock_groups.size :]
+        return self.vector[self.layout.clocks]
 
     @property
     def clock_sigma_s(self) -> float:
@@ -120,8 +137,8 @@ class CameraFit:
         count = self.clock_groups.size
         if count == 0:
             return 0.0
-        own = np.diag(self.covariance)[-count:]
-        prior = self.prior_sigma[-1] ** 2
+        own = np.diag(self.covariance)[self.layout.clocks]
+        prior = self.prior_sigma[self.layout.clock(0)] ** 2
         # The prior weighs as much as half a recording.
         return float(np.sqrt((0.5 * prior + np.sum(self.clock_offset_s**2 + own)) / (0.5 + count)))
 
@@ -132,17 +149,16 @@ class CameraFit:
         was before any data: an angle without a prior where it is known to 10 degrees, a position
         where it is known to within a quarter of the camera's distance to what it saw.
         """
-        sigma = np.sqrt(np.diag(self.covariance)[:_N])
-        prior = self.prior_sigma[:_N].copy()
-        prior[3] = np.radians(10.0) / _KNOWN_AT
+        sigma = np.sqrt(np.diag(self.covariance)[CAMERA])
+        prior = self.prior_sigma[CAMERA].copy()
+        prior[HEADING] = np.radians(10.0) / _KNOWN_AT
         prior[np.isinf(prior)] = 0.25 * self.typical_range_m / _KNOWN_AT
         return np.asarray(sigma < _KNOWN_AT * prior)
 
     def target_determined(self) -> BoolArray:
         """(2,) bool: the same of each of `TARGET_PARAMETERS`."""
-        own = slice(_N, FIRST_SOURCE)
-        sigma = np.sqrt(np.diag(self.covariance)[own])
-        return np.asarray(sigma < _KNOWN_AT * self.prior_sigma[own])
+        sigma = np.sqrt(np.diag(self.covariance)[TARGET])
+        return np.asarray(sigma < _KNOWN_AT * self.prior_sigma[TARGET])
 
 
 def fit_camera(
@@ -212,7 +228,7 @@ def fit_camera(
     best = problem.refine(start, estimated)
     if best is None:
         raise FitError(_BEHIND)
-    best.vector[3] = np.mod(best.vector[3], 2.0 * np.pi)
+    best.vector[HEADING] = np.mod(best.vector[HEADING], 2.0 * np.pi)
     # The noise came from the best start; under it the others go on from where they are.
     ends = [best.vector]
     for _, vector in found[1:]:
@@ -264,22 +280,22 @@ class _Problem:
         self.sightings = sightings
         self.image_size_px = image_size_px
         self.n_sources = n_sources
-        self.first_clock = FIRST_SOURCE + len(SOURCE_PARAMETERS) * n_sources
         self.prior = prior
         self.position_known = position_known
         moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
         self.clock_groups = np.unique(sightings.group[moving])
+        self.layout = ParameterLayout(n_sources, self.clock_groups.size)
         self.clock = np.searchsorted(self.clock_groups, sightings.group)
         self.moving = np.flatnonzero(moving)
         self.mean, self.sigma = prior.moments(
             image_size_px, n_sources, self.clock_groups.size, position_known=position_known
         )
         for source, belief in (beliefs or {}).items():
-            at = FIRST_SOURCE + len(SOURCE_PARAMETERS) * source
+            at = self.layout.source(source)
             own = np.array([belief.bias_px, belief.bias_m])
-            self.mean[at : at + 2], self.sigma[at : at + 2] = own.T
+            self.mean[at], self.sigma[at] = own.T
         self.held = np.isfinite(self.sigma)
-        self.size = self.mean.size
+        self.size = self.layout.size
         self.timed = np.isfinite(sightings.time_s)
         self.blocks = blocks_of(sightings.time_s, sightings.log)
         # Without times heave is as any other noise of the rows.
@@ -298,9 +314,9 @@ class _Problem:
             )
         )
         self.scale = np.where(self.held, self.sigma, 1.0)
-        self.scale[3] = 0.3
+        self.scale[HEADING] = 0.3
         if not position_known:
-            self.scale[7:9] = self.spread
+            self.scale[POSITION] = self.spread
 
     def starts(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
         """Cameras to start from: the prior's mean, then draws about it, all facing the targets."""
@@ -308,29 +324,28 @@ class _Problem:
         for i in range(count):
             vector = self.mean.copy()
             if i or not self.position_known:
-                vector[0] += rng.normal(0.0, 0.5)
-                vector[1] += rng.normal(0.0, np.radians(8.0))
-                vector[4] += rng.normal(0.0, 0.3)
+                vector[LOG_HEIGHT] += rng.normal(0.0, 0.5)
+                vector[PITCH] += rng.normal(0.0, np.radians(8.0))
+                vector[LOG_FOCAL] += rng.normal(0.0, 0.3)
             if not self.position_known:
                 angle = 2.0 * np.pi * (i + rng.uniform()) / count
                 distance = self.spread * np.exp(rng.uniform(0.0, 1.6))
-                vector[7] = self.centre[0] + distance * np.sin(angle)
-                vector[8] = self.centre[1] + distance * np.cos(angle)
+                vector[EAST] = self.centre[0] + distance * np.sin(angle)
+                vector[NORTH] = self.centre[1] + distance * np.cos(angle)
             bearing = np.arctan2(
-                self.sightings.east_m - vector[7], self.sightings.north_m - vector[8]
+                self.sightings.east_m - vector[EAST], self.sightings.north_m - vector[NORTH]
             )
-            across = np.arctan(
-                (self.sightings.pixel_px[:, 0] - 0.5 * self.image_size_px[0]) / np.exp(vector[4])
-            )
+            from_middle = self.sightings.pixel_px[:, 0] - 0.5 * self.image_size_px[0]
+            across = np.arctan(from_middle / np.exp(vector[LOG_FOCAL]))
             turn = bearing - across
-            vector[3] = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            vector[HEADING] = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
             out.append(vector)
         return out
 
     def aspect(self, vector: FloatArray) -> FloatArray:
         """(N, 2) how much of the half length and of the half beam points to the camera."""
         s = self.sightings
-        east, north = s.east_m - vector[7], s.north_m - vector[8]
+        east, north = s.east_m - vector[EAST], s.north_m - vector[NORTH]
         speed = np.hypot(*s.velocity_mps.T)
         size = np.maximum(speed * np.hypot(east, north), 1e-9)
         cosine = (s.velocity_mps[:, 0] * east + s.velocity_mps[:, 1] * north) / size
@@ -349,8 +364,8 @@ class _Problem:
         apparent = self.apparent(vector)[rows]
         seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
         half = float(np.median(s.width_px[rows] / apparent / seen))
-        self.mean[_N:FIRST_SOURCE] = half, _BEAM_SHARE * half
-        self.sigma[_N:FIRST_SOURCE] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
+        self.mean[TARGET] = half, _BEAM_SHARE * half
+        self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
 
     def project(
         self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
@@ -360,21 +375,21 @@ class _Problem:
         The place may be moved by a shift, (N, 2) metres.
         """
         s = self.sightings
-        bias = vector[FIRST_SOURCE : self.first_clock].reshape(-1, 2)
+        bias = vector[self.layout.sources].reshape(-1, len(SOURCE_PARAMETERS))
         source = np.where(self.boxes, s.source, 0)
         above = s.above_m
         if self.n_sources:
-            above = above + np.where(self.boxes, bias[source, 1], 0.0)
+            above = above + np.where(self.boxes, bias[source, BIAS_M], 0.0)
         east, north = self.place(vector)
         if shift_m is not None:
             east, north = east + shift_m[:, 0], north + shift_m[:, 1]
         # The foot of a box lies on the near side of the target.
-        east_off, north_off = east - vector[7], north - vector[8]
+        east_off, north_off = east - vector[EAST], north - vector[NORTH]
         distance = np.hypot(east_off, north_off)
         sine, cosine = east_off / distance, north_off / distance
-        hull = aspect @ vector[_N:FIRST_SOURCE]
+        hull = aspect @ vector[TARGET]
         pixel, by_parameter, by_foot = project_with_jacobian(
-            vector[:_N], self.image_size_px, east - hull * sine, north - hull * cosine, above
+            vector[CAMERA], self.image_size_px, east - hull * sine, north - hull * cosine, above
         )
         by_point = by_foot.copy()
         across = by_foot[:, :, 0] * cosine[:, None] - by_foot[:, :, 1] * sine[:, None]
@@ -383,19 +398,21 @@ class _Problem:
         by_point[:, :, 1] += across * sine[:, None]
         jacobian = np.zeros((len(s), 2, vector.size))
         if vector.size > self.size:
-            jacobian[:, :, self.size] = np.einsum("nij,nj->ni", by_point[:, :, :2], self.bow)
-        jacobian[:, :, :_N] = by_parameter
-        jacobian[:, :, 7:9] = -by_point[:, :, :2]
+            jacobian[:, :, self.layout.middle] = np.einsum(
+                "nij,nj->ni", by_point[:, :, :2], self.bow
+            )
+        jacobian[:, :, CAMERA] = by_parameter
+        jacobian[:, :, POSITION] = -by_point[:, :, :2]
         inwards = by_foot[:, :, 0] * sine[:, None] + by_foot[:, :, 1] * cosine[:, None]
-        jacobian[:, :, _N:FIRST_SOURCE] = -inwards[:, :, None] * aspect[:, None, :]
+        jacobian[:, :, TARGET] = -inwards[:, :, None] * aspect[:, None, :]
         rows = np.flatnonzero(self.boxes)
         if self.n_sources:
-            pixel[rows, 1] += bias[source[rows], 0]
-            at = FIRST_SOURCE + 2 * source[rows]
-            jacobian[rows, 1, at] = 1.0
-            jacobian[rows[:, None], [[0, 1]], (at + 1)[:, None]] = by_point[rows, :, 2]
+            pixel[rows, 1] += bias[source[rows], BIAS_PX]
+            jacobian[rows, 1, self.layout.bias_px(source[rows])] = 1.0
+            at = self.layout.bias_m(source[rows])
+            jacobian[rows[:, None], [[0, 1]], at[:, None]] = by_point[rows, :, 2]
         rows = self.moving
-        jacobian[rows, :, self.first_clock + self.clock[rows]] = np.einsum(
+        jacobian[rows, :, self.layout.clock(self.clock[rows])] = np.einsum(
             "nij,nj->ni", by_point[rows, :, :2], s.velocity_mps[rows]
         )
         return pixel, jacobian, by_point
@@ -406,19 +423,20 @@ class _Problem:
         place = np.stack([s.east_m, s.north_m])
         if self.moving.size:
             offset = np.zeros(len(s))
-            offset[self.moving] = vector[self.first_clock + self.clock[self.moving]]
+            offset[self.moving] = vector[self.layout.clock(self.clock[self.moving])]
             place += offset * s.velocity_mps.T
         if vector.size > self.size:
-            place += vector[self.size] * self.bow.T
+            place += vector[self.layout.middle] * self.bow.T
         return place[0], place[1]
 
     def apparent(self, vector: FloatArray) -> FloatArray:
         """(N,) how large a metre at the box looks, pixels; zero for control points."""
         s = self.sightings
         slant = np.hypot(
-            np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]) - s.above_m
+            np.hypot(s.east_m - vector[EAST], s.north_m - vector[NORTH]),
+            np.exp(vector[LOG_HEIGHT]) - s.above_m,
         )
-        return np.where(self.boxes, np.exp(vector[4]) / slant, 0.0)
+        return np.where(self.boxes, np.exp(vector[LOG_FOCAL]) / slant, 0.0)
 
     def pixel_variance(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
         """(N, 2) variances of column and row without the place's, square pixels.
@@ -444,7 +462,7 @@ class _Problem:
         out = np.zeros((held.size + size - self.size, size))
         out[np.arange(held.size), held] = 1.0 / self.sigma[held]
         if size > self.size:
-            out[held.size, self.size] = 1.0 / _MIDDLE_SIGMA_M
+            out[held.size, self.layout.middle] = 1.0 / _MIDDLE_SIGMA_M
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
     def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
@@ -562,8 +580,9 @@ class _Problem:
     def _ahead(self, vector: FloatArray) -> bool:
         """Whether most sightings lie before the camera."""
         s = self.sightings
-        forward = np.sin(vector[3]) * (s.east_m - vector[7]) + np.cos(vector[3]) * (
-            s.north_m - vector[8]
+        heading = vector[HEADING]
+        forward = np.sin(heading) * (s.east_m - vector[EAST]) + np.cos(heading) * (
+            s.north_m - vector[NORTH]
         )
         return bool(np.mean(forward > 0.0) > 0.5)
 
@@ -678,7 +697,7 @@ class _Problem:
             covariance=covariance,
             prior_sigma=self.sigma,
             clock_groups=self.clock_groups,
-            noise=replace(noise, middle_m=float(abs(found.vector[self.size]))),
+            noise=replace(noise, middle_m=float(abs(found.vector[self.layout.middle]))),
             image_size_px=self.image_size_px,
             residual_px=residual,
             standard_residual=np.sqrt(np.mean(found.standard**2, axis=1)),
@@ -688,7 +707,9 @@ class _Problem:
             starts=starts,
             typical_range_m=float(
                 np.median(
-                    np.hypot(self.sightings.east_m - vector[7], self.sightings.north_m - vector[8])
+                    np.hypot(
+                        self.sightings.east_m - vector[EAST], self.sightings.north_m - vector[NORTH]
+                    )
                 )
             ),
         )
@@ -725,7 +746,7 @@ class _Problem:
             return out
         aspect = self.aspect(vector)
         weight = (0.5 * noise.place_m**2 / variance_px2)[rows]
-        for i in range(_N):
+        for i in range(len(PARAMETERS)):
             apart = 1e-4 * self.scale[i]
             squares = []
             for side in (-1.0, 1.0):
@@ -739,9 +760,10 @@ class _Problem:
     @staticmethod
     def _same(one: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
         """Whether two cameras differ by less than a standard deviation in every parameter."""
-        difference = one[:_N] - other[:_N]
-        difference[3] = np.arctan2(np.sin(difference[3]), np.cos(difference[3]))
-        return bool(np.all(np.abs(difference) < np.sqrt(np.diag(covariance)[:_N])))
+        difference = one[CAMERA] - other[CAMERA]
+        turn = difference[HEADING]
+        difference[HEADING] = np.arctan2(np.sin(turn), np.cos(turn))
+        return bool(np.all(np.abs(difference) < np.sqrt(np.diag(covariance)[CAMERA])))
 
     def _shared_error(self, standard: FloatArray) -> float:
         """The correlation of errors within a recording, 0 to 1 (one-way analysis of variance)."""

@@ -12,7 +12,7 @@ from sightline.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Pixels whose place is known roughly: along the far shore, or at the horizon.
+    """Pixels whose place is known: control points, and landmarks along the shore or at the horizon.
 
     What is far away may lie anywhere on hundreds of metres, and still tells the row of the horizon.
 

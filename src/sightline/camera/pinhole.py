@@ -21,25 +21,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.camera.parameters import (
+    EAST,
+    HEADING,
+    K1,
+    K2,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    NORTH,
+    PARAMETERS,
+    PITCH,
+    ROLL,
+    camera_vector,
+)
 from sightline.errors import InputError
 from sightline.types import FloatArray
-
-PARAMETERS = (
-    "height_m",
-    "pitch_deg",
-    "roll_deg",
-    "heading_deg",
-    "focal_px",
-    "k1",
-    "k2",
-    "east_m",
-    "north_m",
-)
-"""The unknowns of a camera, in the order of every parameter vector and covariance.
-
-A parameter vector holds them as the fit sees them: the logarithms of height and focal length, and
-angles in radians.
-"""
 
 BY_BEYOND, BY_ROW, BY_ABOVE, BY_COLUMN = range(len(PARAMETERS), len(PARAMETERS) + 4)
 """Where `Located.derivatives` holds those that are not by a parameter of the camera."""
@@ -94,32 +90,32 @@ class Camera:
     def from_vector(cls, vector: FloatArray, image_size_px: tuple[int, int]) -> Camera:
         """The camera of a parameter vector, (9,) float64 as `PARAMETERS` says."""
         return cls(
-            height_m=float(np.exp(vector[0])),
-            pitch_deg=float(np.degrees(vector[1])),
-            roll_deg=float(np.degrees(vector[2])),
-            heading_deg=float(np.degrees(vector[3]) % 360.0),
-            focal_px=float(np.exp(vector[4])),
-            k1=float(vector[5]),
-            k2=float(vector[6]),
-            east_m=float(vector[7]),
-            north_m=float(vector[8]),
+            height_m=float(np.exp(vector[LOG_HEIGHT])),
+            pitch_deg=float(np.degrees(vector[PITCH])),
+            roll_deg=float(np.degrees(vector[ROLL])),
+            heading_deg=float(np.degrees(vector[HEADING]) % 360.0),
+            focal_px=float(np.exp(vector[LOG_FOCAL])),
+            k1=float(vector[K1]),
+            k2=float(vector[K2]),
+            east_m=float(vector[EAST]),
+            north_m=float(vector[NORTH]),
             image_size_px=image_size_px,
         )
 
     def to_vector(self) -> FloatArray:
         """The parameter vector, (9,) float64 as `PARAMETERS` says."""
-        return np.array(
-            [
-                np.log(self.height_m),
-                np.radians(self.pitch_deg),
-                np.radians(self.roll_deg),
-                np.radians(self.heading_deg),
-                np.log(self.focal_px),
-                self.k1,
-                self.k2,
-                self.east_m,
-                self.north_m,
-            ]
+        return camera_vector(
+            {
+                LOG_HEIGHT: np.log(self.height_m),
+                PITCH: np.radians(self.pitch_deg),
+                ROLL: np.radians(self.roll_deg),
+                HEADING: np.radians(self.heading_deg),
+                LOG_FOCAL: np.log(self.focal_px),
+                K1: self.k1,
+                K2: self.k2,
+                EAST: self.east_m,
+                NORTH: self.north_m,
+            }
         )
 
     @cached_property
@@ -301,7 +297,7 @@ class Camera:
 
 def rotation_matrix(vector: FloatArray) -> FloatArray:
     """(3, 3) rotation from east, north, up to the camera's right, down and forward."""
-    pitch, roll, heading = vector[1], vector[2], vector[3]
+    pitch, roll, heading = vector[PITCH], vector[ROLL], vector[HEADING]
     sin_h, cos_h = np.sin(heading), np.cos(heading)
     sin_p, cos_p = np.sin(pitch), np.cos(pitch)
     sin_r, cos_r = np.sin(roll), np.cos(roll)
@@ -320,14 +316,15 @@ def _project(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pixels (N, 2), depth (N,) and normalised radius squared (N,), wherever the points lie."""
     rotation = rotation_matrix(vector)
-    offset_east = np.asarray(east_m, dtype=float) - vector[7]
-    offset_north = np.asarray(north_m, dtype=float) - vector[8]
-    offset_up = np.broadcast_to(np.asarray(above_m) - np.exp(vector[0]), offset_east.shape)
+    offset_east = np.asarray(east_m, dtype=float) - vector[EAST]
+    offset_north = np.asarray(north_m, dtype=float) - vector[NORTH]
+    height = np.exp(vector[LOG_HEIGHT])
+    offset_up = np.broadcast_to(np.asarray(above_m) - height, offset_east.shape)
     camera = rotation @ np.stack([offset_east, offset_north, offset_up])
     depth = np.maximum(camera[2], _NEAREST)
     x, y = camera[0] / depth, camera[1] / depth
     square = x * x + y * y
-    stretch = np.exp(vector[4]) * (1.0 + square * (vector[5] + square * vector[6]))
+    stretch = np.exp(vector[LOG_FOCAL]) * (1.0 + square * (vector[K1] + square * vector[K2]))
     pixel = np.stack(
         [0.5 * image_size_px[0] + stretch * x, 0.5 * image_size_px[1] + stretch * y], axis=-1
     )
@@ -355,11 +352,12 @@ def project_with_jacobian(
         north and up (N, 2, 3), pixels a metre.
     """
     rotation = rotation_matrix(vector)
-    height, focal, k1, k2 = np.exp(vector[0]), np.exp(vector[4]), vector[5], vector[6]
+    height, focal = np.exp(vector[LOG_HEIGHT]), np.exp(vector[LOG_FOCAL])
+    k1, k2 = vector[K1], vector[K2]
     n = np.size(east_m)
     offsets = np.empty((3, n))
-    offsets[0] = east_m - vector[7]
-    offsets[1] = north_m - vector[8]
+    offsets[0] = east_m - vector[EAST]
+    offsets[1] = north_m - vector[NORTH]
     offsets[2] = np.asarray(above_m) - height
     camera = rotation @ offsets
     depth = np.maximum(camera[2], _NEAREST)
@@ -383,29 +381,30 @@ def project_with_jacobian(
 
     by_point = np.einsum("ijn,jk->nik", by_camera, rotation)
 
-    by_parameter = np.empty((n, 2, 9))
-    by_parameter[:, :, 0] = -height * by_point[:, :, 2]
+    by_parameter = np.empty((n, 2, len(PARAMETERS)))
+    by_parameter[:, :, LOG_HEIGHT] = -height * by_point[:, :, 2]
     # Turning the camera turns the point about it: d right = 0, d down = -forward and so on.
-    sin_r, cos_r = np.sin(vector[2]), np.cos(vector[2])
+    sin_r, cos_r = np.sin(vector[ROLL]), np.cos(vector[ROLL])
     down = sin_r * camera[0] * -1.0 + cos_r * camera[1]
     pitch_turn = np.stack([sin_r * camera[2], -cos_r * camera[2], down])
     roll_turn = np.stack([-camera[1], camera[0], np.zeros(n)])
-    sin_h, cos_h = np.sin(vector[3]), np.cos(vector[3])
-    sin_p, cos_p = np.sin(vector[1]), np.cos(vector[1])
+    sin_h, cos_h = np.sin(vector[HEADING]), np.cos(vector[HEADING])
+    sin_p, cos_p = np.sin(vector[PITCH]), np.cos(vector[PITCH])
     right_h = -sin_h * offsets[0] - cos_h * offsets[1]
     ahead_h = cos_h * offsets[0] - sin_h * offsets[1]
     down_h, forward_h = -sin_p * ahead_h, cos_p * ahead_h
     heading_turn = np.stack(
         [cos_r * right_h - sin_r * down_h, sin_r * right_h + cos_r * down_h, forward_h]
     )
-    for column, turn in ((1, pitch_turn), (2, roll_turn), (3, heading_turn)):
-        by_parameter[:, :, column] = np.einsum("ijn,jn->ni", by_camera, turn)
-    by_parameter[:, 0, 4] = focal * stretch * x
-    by_parameter[:, 1, 4] = focal * stretch * y
-    by_parameter[:, 0, 5], by_parameter[:, 1, 5] = focal * x * square, focal * y * square
-    by_parameter[:, :, 6] = by_parameter[:, :, 5] * square[:, None]
-    by_parameter[:, :, 7] = -by_point[:, :, 0]
-    by_parameter[:, :, 8] = -by_point[:, :, 1]
+    for slot, turn in ((PITCH, pitch_turn), (ROLL, roll_turn), (HEADING, heading_turn)):
+        by_parameter[:, :, slot] = np.einsum("ijn,jn->ni", by_camera, turn)
+    by_parameter[:, 0, LOG_FOCAL] = focal * stretch * x
+    by_parameter[:, 1, LOG_FOCAL] = focal * stretch * y
+    by_parameter[:, 0, K1] = focal * x * square
+    by_parameter[:, 1, K1] = focal * y * square
+    by_parameter[:, :, K2] = by_parameter[:, :, K1] * square[:, None]
+    by_parameter[:, :, EAST] = -by_point[:, :, 0]
+    by_parameter[:, :, NORTH] = -by_point[:, :, 1]
     return pixel, by_parameter, by_point
 
 
@@ -498,7 +497,7 @@ def _derive(
     reach = height / down
     distance = reach * level
 
-    out[0, 0], out[0, 1] = distance * (camera.height_m / height), 0.0
+    out[LOG_HEIGHT, 0], out[LOG_HEIGHT, 1] = distance * (camera.height_m / height), 0.0
     out[BY_ABOVE, 0], out[BY_ABOVE, 1] = distance * (-1.0 / height), 0.0
     out[BY_BEYOND, 0], out[BY_BEYOND, 1] = 1.0, 0.0
     # Along and across by the normalised coordinates: the ray turns, and it reaches further.
@@ -514,29 +513,30 @@ def _derive(
     (sin_h, cos_h), (sin_p, cos_p), (sin_r, cos_r) = camera._turns
     raised = sin_r * x - cos_r * y
     ahead = cos_p * raised - sin_p
-    out[1, 0] = reach * ahead * (sin_h * sine + cos_h * cosine) - further * (sin_p * raised + cos_p)
-    out[1, 1] = aside * ahead * (sin_h * cosine - cos_h * sine)
+    toward = sin_h * sine + cos_h * cosine
+    out[PITCH, 0] = reach * ahead * toward - further * (sin_p * raised + cos_p)
+    out[PITCH, 1] = aside * ahead * (sin_h * cosine - cos_h * sine)
     # Roll moves (x, y) by (y, -x).
-    out[2, 0] = y * x_along - x * y_along
-    out[2, 1] = y * x_across - x * y_across
-    out[3, 0], out[3, 1] = 0.0, total
+    out[ROLL, 0] = y * x_along - x * y_along
+    out[ROLL, 1] = y * x_across - x * y_across
+    out[HEADING, 0], out[HEADING, 1] = 0.0, total
     # Focal length and distortion move a ray radially in the image.
     square = x * x + y * y
     stretch = 1.0 + square * (k1 + square * k2)
     slope = 2.0 * (k1 + 2.0 * k2 * square)
     radial = -1.0 / (stretch + slope * square)
-    out[5, 0] = (x * x_along + y * y_along) * radial
-    out[5, 1] = (x * x_across + y * y_across) * radial
-    np.multiply(out[5], stretch, out=out[4])
+    out[K1, 0] = (x * x_along + y * y_along) * radial
+    out[K1, 1] = (x * x_across + y * y_across) * radial
+    np.multiply(out[K1], stretch, out=out[LOG_FOCAL])
     # By the pixel: the inverse of the lens's own derivative.
     per_pixel = 1.0 / (camera.focal_px * stretch)
     bent = slope * per_pixel
     bent_x, bent_y = bent * x, bent * y
     for i, (by_x, by_y) in enumerate(((x_along, y_along), (x_across, y_across))):
-        out[BY_COLUMN, i] = per_pixel * by_x + bent_x * out[5, i]
-        out[BY_ROW, i] = per_pixel * by_y + bent_y * out[5, i]
-    out[5] *= square
-    np.multiply(out[5], square, out=out[6])
-    out[7, 0], out[7, 1] = sine, cosine
-    out[8, 0], out[8, 1] = cosine, -sine
+        out[BY_COLUMN, i] = per_pixel * by_x + bent_x * out[K1, i]
+        out[BY_ROW, i] = per_pixel * by_y + bent_y * out[K1, i]
+    out[K1] *= square
+    np.multiply(out[K1], square, out=out[K2])
+    out[EAST, 0], out[EAST, 1] = sine, cosine
+    out[NORTH, 0], out[NORTH, 1] = cosine, -sine
     return total, sine, cosine

@@ -6,38 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.camera.pinhole import PARAMETERS
+from sightline.camera.parameters import (
+    CAMERA,
+    HEADING,
+    K1,
+    K2,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    PITCH,
+    POSITION,
+    ROLL,
+    TARGET,
+    ParameterLayout,
+    camera_vector,
+)
 from sightline.types import FloatArray
-
-TARGET_PARAMETERS = ("half_length_m", "half_beam_m")
-
-
-"""What is unknown of the target: how far its hull reaches from where its log says that it is.
-
-A box ends where the near side of the hull meets the water. From ahead or astern that is half a
-length nearer than the receiver, from abeam half a beam.
-"""
-
 
 ANY_ASPECT = 2.0 / np.pi
 
 
 """The mean of ``|cos|`` and of ``|sin|`` of the aspect, for a target that may head anywhere."""
-
-
-SOURCE_PARAMETERS = ("bias_px", "bias_m")
-
-
-"""What is unknown of each source of boxes: see `SourceBias`."""
-
-
-_N = len(PARAMETERS)
-
-
-FIRST_SOURCE = _N + len(TARGET_PARAMETERS)
-
-
-"""Where a fit's vector has the parameters of the first source."""
 
 
 # Medians of the parts of `PixelNoise` before any data, and standard deviations of their logarithms.
@@ -104,41 +92,35 @@ class CameraPrior:
         The heading has no prior (infinite standard deviation), and neither has the position of a
         camera of which nobody knows where it stands.
         """
-        position = self.position_sigma_m if position_known else np.inf
-        mean = [
-            np.log(self.height_m),
-            np.radians(self.pitch_deg[0]),
-            np.radians(self.roll_deg[0]),
-            0.0,
-            np.log(self.focal_widths * image_size_px[0]),
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            self.half_length_m[0],
-            self.half_beam_m[0],
-        ]
-        sigma = [
-            self.height_log_sigma,
-            np.radians(self.pitch_deg[1]),
-            np.radians(self.roll_deg[1]),
-            np.inf,
-            self.focal_log_sigma,
-            self.k1_sigma,
-            self.k2_sigma,
-            position,
-            position,
-            self.half_length_m[1],
-            self.half_beam_m[1],
-        ]
-        return (
-            np.array(mean + [self.bias_px, 0.0] * n_sources + [0.0] * n_clocks),
-            np.array(
-                sigma
-                + [self.bias_px_sigma, self.bias_m_sigma] * n_sources
-                + [self.clock_sigma_s] * n_clocks
-            ),
+        layout = ParameterLayout(n_sources, n_clocks)
+        mean, sigma = np.zeros(layout.size), np.zeros(layout.size)
+        mean[CAMERA] = camera_vector(
+            {
+                LOG_HEIGHT: np.log(self.height_m),
+                PITCH: np.radians(self.pitch_deg[0]),
+                ROLL: np.radians(self.roll_deg[0]),
+                LOG_FOCAL: np.log(self.focal_widths * image_size_px[0]),
+            }
         )
+        sigma[CAMERA] = camera_vector(
+            {
+                LOG_HEIGHT: self.height_log_sigma,
+                PITCH: np.radians(self.pitch_deg[1]),
+                ROLL: np.radians(self.roll_deg[1]),
+                HEADING: np.inf,
+                LOG_FOCAL: self.focal_log_sigma,
+                K1: self.k1_sigma,
+                K2: self.k2_sigma,
+            }
+        )
+        sigma[POSITION] = self.position_sigma_m if position_known else np.inf
+        mean[TARGET], sigma[TARGET] = np.transpose([self.half_length_m, self.half_beam_m])
+        for index in range(n_sources):
+            own = layout.source(index)
+            mean[own] = self.bias_px, 0.0
+            sigma[own] = self.bias_px_sigma, self.bias_m_sigma
+        sigma[layout.clocks] = self.clock_sigma_s
+        return mean, sigma
 
 
 @dataclass(frozen=True)

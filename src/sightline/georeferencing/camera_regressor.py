@@ -14,35 +14,29 @@ from sklearn.utils.validation import check_is_fitted
 
 from sightline.camera.calibration import CameraFit, fit_camera
 from sightline.camera.correlated_noise import LogError
-from sightline.camera.observations import NO_SOURCE, Sightings
-from sightline.camera.pinhole import (
-    BY_ABOVE,
-    BY_COLUMN,
-    BY_ROW,
-    PARAMETERS,
-    Camera,
-    locate_with_jacobian,
+from sightline.camera.parameters import (
+    CAMERA_AND_TARGET,
+    HALF_BEAM,
+    HALF_LENGTH,
+    SOURCE_PARAMETERS,
+    ParameterLayout,
 )
+from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
 from sightline.camera.priors import (
     ANY_ASPECT,
-    FIRST_SOURCE,
-    SOURCE_PARAMETERS,
     CameraPrior,
     PixelNoise,
     SourceBelief,
 )
-from sightline.errors import FitError, InputError
+from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.residual_gp import Hyperparameters, ResidualProcess
-from sightline.types import BoolArray, FloatArray, IntArray, StrArray, check_boxes
+from sightline.types import BoolArray, FloatArray, IntArray, StrArray
 
 FEWEST_FOR_RESIDUAL = 10
 """With fewer boxes a camera is all that can be learned."""
-
-CONTROL_POINT_SIGMA_M = 0.1
-"""How far off a control point may lie: read off an aerial picture, or surveyed."""
 
 LARGEST_RELATIVE_SIGMA = 0.5
 """A box whose range is less certain than this share of itself has no position."""
@@ -65,6 +59,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         image_size_px: Width and height.
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
         prior: Beliefs about the camera; None: those of an ordinary one.
+        source_priors: About the habits of sources, by their names; others have the prior's.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.
@@ -85,6 +80,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         *,
         residual: bool = True,
         prior: CameraPrior | None = None,
+        source_priors: Mapping[str, SourceBelief] | None = None,
         position_known: bool = True,
         heaving: bool = False,
         starts: int = 8,
@@ -94,100 +90,43 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.image_size_px = image_size_px
         self.residual = residual
         self.prior = prior
+        self.source_priors = source_priors
         self.position_known = position_known
         self.heaving = heaving
         self.starts = starts
         self.random_state = random_state
         self.above_sigma_m = above_sigma_m
 
-    def fit(
-        self,
-        X: ArrayLike,
-        y: ArrayLike,
-        *,
-        source: ArrayLike | None = None,
-        group: ArrayLike | None = None,
-        vessel: ArrayLike | None = None,
-        velocity_mps: ArrayLike | None = None,
-        time_s: ArrayLike | None = None,
-        above_m: ArrayLike | None = None,
-        beside: ArrayLike | None = None,
-        control_px: ArrayLike | None = None,
-        control_east_north_m: ArrayLike | None = None,
-        control_sigma_m: ArrayLike | None = None,
-        beliefs: Mapping[str, SourceBelief] | None = None,
-    ) -> Self:
-        """Learn from boxes and control points.
+    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
+        """Learn from boxes of one target, of which nothing is known but where it was.
 
         Args:
             X: (N, 4) boxes, pixels.
             y: (N, 2) metres east and north.
-            source: (N,) str, who made each box; absent: one unnamed source.
-            group: (N,) the recording of each box; absent: one.
-            vessel: (N,) whose box it is, where there are several: each has a log. Absent: one.
-            velocity_mps: (N, 2) of the target, east and north; tells how far a clock is off.
-            time_s: (N,) of each box, seconds; tells which errors of the log are alike. Absent or
-                NaN: those of a recording are not.
-            above_m: (N,) how high the water stood at each box above the plane that the camera's
-                height is over. Absent: at it.
-            beside: (N,) bool, boxes of which the residual process learns nothing: what a detector
-                makes of a boat differs from what people do, in size as in place, and its boxes are
-                there to learn its lower edge by. Absent: it learns of all.
-            control_px: (M, 2) pixels of control points.
-            control_east_north_m: (M, 2) metres.
-            control_sigma_m: (M,) how far off each may lie; absent: `CONTROL_POINT_SIGMA_M`.
-            beliefs: About the habits of sources, by their names; others have the prior's.
 
         Raises:
             FitError: The pairs are too few, or all in one place.
-            InputError: A box is none, or columns differ in length.
+            InputError: A box is none, or there are more boxes than places, or fewer.
         """
-        boxes, places = _rows(X, 4), _rows(y, 2)
-        pixels = _rows([] if control_px is None else control_px, 2)
-        known = _rows([] if control_east_north_m is None else control_east_north_m, 2)
-        check_boxes(boxes)
-        n, m = len(boxes), len(pixels)
-        velocity = np.zeros((n, 2)) if velocity_mps is None else _rows(velocity_mps, 2)
-        times = np.full(n, np.nan) if time_s is None else np.asarray(time_s, dtype=np.float64)
-        above = np.zeros(n) if above_m is None else np.asarray(above_m, dtype=np.float64)
-        if len(places) != n or len(known) != m:
-            raise InputError(f"{n} boxes and {len(places)} places; each box needs its place")
-        names = np.asarray(source if source is not None else [""] * n, dtype=np.str_)
-        groups = np.asarray(group if group is not None else [0] * n)
-        self.sources_ = tuple(str(name) for name in np.unique(names))
-        index = np.searchsorted(self.sources_, names) if n else np.empty(0, dtype=np.int64)
-        self._group: IntArray = np.unique(groups, return_inverse=True)[1].astype(np.int64)
-        of = np.asarray(vessel if vessel is not None else [""] * n, dtype=np.str_)
-        whose = np.unique(of, return_inverse=True)[1]
-        logs = self._group * (int(whose.max(initial=0)) + 1) + whose
-        self._log: IntArray = np.unique(logs, return_inverse=True)[1].astype(np.int64)
-        foot = _foot(boxes)
-        certain = np.full(m, CONTROL_POINT_SIGMA_M)
-        if control_sigma_m is not None:
-            certain = np.asarray(control_sigma_m, dtype=np.float64)
-        # Points of a map are independent of one another: each is a group of its own.
-        own = int(self._group.max(initial=-1)) + 1 + np.arange(m)
-        sightings = Sightings(
-            pixel_px=np.concatenate([foot, pixels]),
-            east_m=np.concatenate([places[:, 0], known[:, 0]]),
-            north_m=np.concatenate([places[:, 1], known[:, 1]]),
-            source=np.concatenate([index, np.full(m, NO_SOURCE)]).astype(np.int64),
-            group=np.concatenate([self._group, own]).astype(np.int64),
-            velocity_mps=np.concatenate([velocity, np.zeros((m, 2))]),
-            sigma_m=np.concatenate([np.zeros(n), certain]),
-            time_s=np.concatenate([times, np.full(m, np.nan)]),
-            width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
-            above_m=np.concatenate([above, np.zeros(m)]),
-            log=np.concatenate([self._log, int(self._log.max(initial=-1)) + 1 + np.arange(m)]),
-        )
+        return self.fit_observations(CameraObservations(np.asarray(X), np.asarray(y)))
+
+    def fit_observations(self, observations: CameraObservations) -> Self:
+        """Learn from boxes and landmarks, with all that is known of them.
+
+        Raises:
+            FitError: The boxes are too few, or all in one place.
+        """
+        o, n = observations, len(observations)
+        self.sources_ = o.sources
+        self._group, self._log = o.group, o.log
         self.fit_ = fit_camera(
-            sightings,
+            o.sightings(),
             self.image_size_px,
             n_sources=len(self.sources_),
             prior=self.prior,
             beliefs={
                 self.sources_.index(name): belief
-                for name, belief in (beliefs or {}).items()
+                for name, belief in (self.source_priors or {}).items()
                 if name in self.sources_
             },
             noise=PixelNoise(drift_m=0.0) if n == 0 else None,
@@ -197,7 +136,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             seed=self.random_state,
         )
         self.n_features_in_ = 4
-        self.typical_speed_mps_ = float(np.sqrt(np.mean(velocity**2) * 2.0)) if n else 0.0
+        self.typical_speed_mps_ = float(np.sqrt(np.mean(o.velocity_mps**2) * 2.0)) if n else 0.0
         self._prepare()
         self.range_process_: ResidualProcess | None = None
         self.bearing_process_: ResidualProcess | None = None
@@ -205,11 +144,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             offset = self.fit_.clock_offset_s
             clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
             late = np.array([clocks.get(int(g), 0.0) for g in self._group])
-            learns: BoolArray = np.ones(n, dtype=np.bool_)
-            if beside is not None:
-                learns = ~np.asarray(beside, dtype=np.bool_)
-            put_right = places + late[:, None] * velocity
-            self._learn_residual(boxes, put_right, names, times, above, learns)
+            self._learn_residual(o, o.east_north_m + late[:, None] * o.velocity_mps)
         return self
 
     def predict(
@@ -312,21 +247,21 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         fit, prior = self.fit_, self.prior or CameraPrior()
         name = self.sources_[0] if not source and len(self.sources_) == 1 else source
-        each = len(SOURCE_PARAMETERS)
         if name in self.sources_:
-            first = FIRST_SOURCE + each * self.sources_.index(name)
-            chosen = [*range(FIRST_SOURCE), first, first + 1]
-            return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
+            own = fit.layout.source(self.sources_.index(name))
+            chosen = np.r_[CAMERA_AND_TARGET, own]
+            return fit.vector[own], fit.covariance[np.ix_(chosen, chosen)]
         count = len(self.sources_)
         mean = np.array([prior.unseen_px, prior.unseen_m])
         expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
-        known = slice(FIRST_SOURCE, FIRST_SOURCE + each * count)
+        known, each = fit.layout.sources, len(SOURCE_PARAMETERS)
         squares = (fit.vector[known].reshape(-1, each) - mean) ** 2
         squares += np.diag(fit.covariance)[known].reshape(-1, each)
         spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
-        covariance = np.zeros((FIRST_SOURCE + each, FIRST_SOURCE + each))
-        covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
-        covariance[FIRST_SOURCE:, FIRST_SOURCE:] = np.diag(spread / (_UNSEEN_WEIGHT + count))
+        alone, both = ParameterLayout(n_sources=1, n_clocks=0), CAMERA_AND_TARGET
+        covariance = np.zeros((alone.size, alone.size))
+        covariance[both, both] = fit.covariance[both, both]
+        covariance[alone.sources, alone.sources] = np.diag(spread / (_UNSEEN_WEIGHT + count))
         return mean, covariance
 
     def _prepare(self) -> None:
@@ -334,7 +269,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # By how much a target moves while the clock is unsure, along either axis.
         self.clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
-        length, beam = self.fit_.vector[len(PARAMETERS) : FIRST_SOURCE]
+        length, beam = self.fit_.vector[HALF_LENGTH], self.fit_.vector[HALF_BEAM]
         self.hull_m = float(ANY_ASPECT * (length + beam))
         # The variance of length |cos| + beam |sin| over all aspects.
         aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self.hull_m**2
@@ -354,9 +289,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             values, vectors = np.linalg.eigh(covariance)
             root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
             # Nobody knows where the bow of a box points to: both halves of a hull count alike.
-            first, second = range(len(PARAMETERS), FIRST_SOURCE)
-            root[:, second] = ANY_ASPECT * (root[:, first] + root[:, second])
-            root = np.delete(root, first, axis=1)
+            root[:, HALF_BEAM] = ANY_ASPECT * (root[:, HALF_LENGTH] + root[:, HALF_BEAM])
+            root = np.delete(root, HALF_LENGTH, axis=1)
             # What the bias adds to the row is taken off before the place is looked up.
             root[:, BY_ROW] *= -1.0
             self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
@@ -467,16 +401,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             covariance[~known] = np.nan
             shared[~known[: len(shared)]] = np.nan
 
-    def _learn_residual(
-        self,
-        boxes: FloatArray,
-        places: FloatArray,
-        names: Any,
-        time_s: FloatArray,
-        above_m: FloatArray,
-        own: BoolArray,
-    ) -> None:
-        n = len(boxes)
+    def _learn_residual(self, observations: CameraObservations, places: FloatArray) -> None:
+        """Learn what the camera leaves; places (N, 2) are by clocks that were put right."""
+        boxes, names, n = observations.boxes_xyxy_px, observations.source, len(observations)
         inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
         noise = np.full((n, 2), np.nan)
         sight = np.full((n, 2), np.nan)
@@ -486,7 +413,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             for name in np.unique(names):
                 rows = np.flatnonzero(names == name)
                 # Heave is in the error that lasts, below.
-                seen = self._see(boxes[rows], str(name), above_m[rows], heave=False)
+                seen = self._see(boxes[rows], str(name), observations.above_m[rows], heave=False)
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
                 noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
                 sight[rows] = np.stack([seen.sine, seen.cosine], axis=1) / seen.distance[:, None]
@@ -494,7 +421,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 targets[rows, 0] = np.log(np.hypot(east[rows], north[rows]) / seen.distance)
                 targets[rows, 1] = np.arctan2(np.sin(turn), np.cos(turn))
             usable = (
-                own
+                ~observations.bias_only
                 & np.isfinite(inputs).all(axis=1)
                 & np.isfinite(targets).all(axis=1)
                 & (noise[:, 0] < LARGEST_RELATIVE_SIGMA)
@@ -508,7 +435,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         def learn(axis: int) -> ResidualProcess:
             along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
             log_error = LogError(
-                time_s,
+                observations.time_s,
                 along_or_across,
                 self._log,
                 self.fit_.noise.drift_m,
@@ -595,7 +522,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
         model.sources_ = tuple(settings["sources"])
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
-        size = FIRST_SOURCE + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
+        size = ParameterLayout(len(model.sources_), clock_groups.size).size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
         nothing = np.empty(0)
         model.fit_ = CameraFit(
@@ -685,21 +612,3 @@ def _turn(
     out[:, 1, 1] = along * cc + across * ss - 2.0 * mixed * sc
     out[:, 0, 1] = (along - across) * sc + mixed * (cc - ss)
     out[:, 1, 0] = out[:, 0, 1]
-
-
-def _foot(boxes_xyxy_px: FloatArray) -> FloatArray:
-    """(N, 2) the middle of each lower edge, pixels."""
-    return np.stack(
-        [0.5 * (boxes_xyxy_px[:, 0] + boxes_xyxy_px[:, 2]), boxes_xyxy_px[:, 3]], axis=1
-    )
-
-
-def _rows(values: ArrayLike, width: int) -> FloatArray:
-    table = np.asarray(values, dtype=np.float64)
-    if table.size == 0:
-        return np.empty((0, width))
-    if table.ndim != 2 or table.shape[1] != width:
-        raise InputError(f"expected a table of the shape (N, {width}), got {table.shape}")
-    if not np.isfinite(table).all():
-        raise FitError("a box, a place or a pixel among the pairs is not a number")
-    return table

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.camera.pinhole import PARAMETERS
-from sightline.camera.priors import FIRST_SOURCE, TARGET_PARAMETERS
+from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
 from sightline.georeferencing.models import BoxModel
@@ -222,20 +221,20 @@ def _camera_report(
     if len(pairs):
         known = fitted.target_determined()
         for i, name in enumerate(TARGET_PARAMETERS):
-            at = len(PARAMETERS) + i
-            value = float(fitted.vector[at])
-            parameters.append(Parameter(name, value, float(sigma[at]), "m", bool(known[i])))
+            value = float(fitted.vector[TARGET][i])
+            own_sigma = float(sigma[TARGET][i])
+            parameters.append(Parameter(name, value, own_sigma, "m", bool(known[i])))
     sources = []
     for i, name in enumerate(regressor.sources_):
-        at = FIRST_SOURCE + 2 * i
+        in_px, in_m = fitted.layout.bias_px(i), fitted.layout.bias_m(i)
         sources.append(
             SourceBias(
                 name=name,
                 n=int(np.sum(pairs.boxes.source == name)),
-                bias_px=float(fitted.vector[at]),
-                bias_m=float(fitted.vector[at + 1]),
-                sigma_px=float(sigma[at]),
-                sigma_m=float(sigma[at + 1]),
+                bias_px=float(fitted.vector[in_px]),
+                bias_m=float(fitted.vector[in_m]),
+                sigma_px=float(sigma[in_px]),
+                sigma_m=float(sigma[in_m]),
             )
         )
     names = np.unique(pairs.recording)

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.camera.motion import Stance
-from sightline.camera.pinhole import PARAMETERS, Camera
+from sightline.camera.parameters import LOG_FOCAL
+from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
 from sightline.camera.rotation import CameraRotation, compensate_rotation, widen
 from sightline.camera.stabilisation import nominal_camera, stabilise
@@ -36,7 +37,6 @@ from sightline.types import (
     check_boxes,
 )
 
-_FOCAL = PARAMETERS.index("focal_px")
 _VIEW = ("strips", "top_px", "left_px")
 _DAMAGE = (
     ArithmeticError,
@@ -298,7 +298,7 @@ class Georeferencer:
         fit = self.regressor.camera_fit
         if fit is None or self.moving:
             return None
-        focal_log_sigma = float(np.sqrt(fit.covariance[_FOCAL, _FOCAL]))
+        focal_log_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
         return CameraRotation.of(
             stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
         )

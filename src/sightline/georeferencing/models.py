@@ -18,8 +18,9 @@ from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
 from sightline.errors import InputError, unknown_name
-from sightline.georeferencing.camera_regressor import CONTROL_POINT_SIGMA_M, CameraRegressor
+from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.observations import CONTROL_POINT_SIGMA_M, CameraObservations
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel, paper_model
 from sightline.georeferencing.placement import Placement
@@ -158,33 +159,28 @@ class CameraModelType:
 
     def fit(self, observations: Observations, *, seed: int = 0) -> CameraRegressor:
         """See `ModelType`."""
-        pairs = observations.correspondences
         control, far = observations.control_points, observations.landmarks
+        known = Landmarks(
+            np.concatenate([control.pixel_px, far.pixel_px]),
+            np.concatenate([control.east_north_m, far.east_north_m]),
+            np.concatenate([control.sigma_m, far.sigma_m]),
+        )
         return CameraRegressor(
             observations.image_size_px,
             # On a vessel the waves that lift the camera while a target passes a place would be
             # learned as of the place.
             residual=self.residual and not observations.moving,
             prior=observations.prior,
+            source_priors=observations.source_priors,
             position_known=observations.position_known,
             heaving=observations.moving,
             starts=8 if observations.position_known else 24,
             random_state=seed,
             above_sigma_m=LEVEL_SIGMA_M if observations.tidal else 0.0,
-        ).fit(
-            pairs.boxes.xyxy_px,
-            pairs.east_north_m,
-            source=pairs.boxes.source,
-            group=pairs.recording,
-            vessel=pairs.vessel,
-            velocity_mps=pairs.velocity_mps,
-            time_s=pairs.boxes.time_utc_s,
-            above_m=observations.above_m,
-            beside=pairs.beside,
-            control_px=np.concatenate([control.pixel_px, far.pixel_px]),
-            control_east_north_m=np.concatenate([control.east_north_m, far.east_north_m]),
-            control_sigma_m=np.concatenate([control.sigma_m, far.sigma_m]),
-            beliefs=observations.source_priors,
+        ).fit_observations(
+            CameraObservations.of(
+                observations.correspondences, above_m=observations.above_m, landmarks=known
+            )
         )
 
     def load(self, arrays: Arrays, settings: Settings) -> CameraRegressor:

@@ -16,6 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.camera.motion import Stance
+from sightline.camera.parameters import (
+    CAMERA,
+    HEADING,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    PITCH,
+    POSITION,
+    ROLL,
+)
 from sightline.camera.pinhole import project_with_jacobian
 from sightline.camera.priors import CameraPrior
 from sightline.camera.rotation import seen_again
@@ -24,7 +33,7 @@ from sightline.georeferencing.correspondences import Pairs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.types import FloatArray
 
-_TURNS = (3, 1, 2)
+_TURNS = (HEADING, PITCH, ROLL)
 _SURE = 6.0
 _LEAST_DEG = 0.15
 _FEWEST = 4
@@ -98,13 +107,13 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     prior = replace(
         usual,
         height_m=camera.height_m,
-        height_log_sigma=min(float(sigma[0]), usual.height_log_sigma),
+        height_log_sigma=min(float(sigma[LOG_HEIGHT]), usual.height_log_sigma),
         focal_widths=camera.focal_px / model.image_size_px[0],
-        focal_log_sigma=min(float(sigma[4]), usual.focal_log_sigma),
+        focal_log_sigma=min(float(sigma[LOG_FOCAL]), usual.focal_log_sigma),
     )
     if turned:
         return prior
-    pitch, roll = np.degrees(sigma[1:3]).tolist()
+    pitch, roll = np.degrees(sigma[[PITCH, ROLL]]).tolist()
     return replace(prior, pitch_deg=(camera.pitch_deg, pitch), roll_deg=(camera.roll_deg, roll))
 
 
@@ -221,13 +230,14 @@ def _turn(model: Georeferencer, pairs: Pairs, name: str, alike_s: float) -> Move
     degrees = np.degrees(turn)
     if gain < _SURE or np.abs(degrees).max() < _LEAST_DEG:
         return None
+    heading_deg, pitch_deg, roll_deg = degrees.tolist()
     spread = np.degrees(np.sqrt(np.diag(covariance)))
     return Moved(
         recording=name,
         since_utc_s=float(time_s[first]),
-        heading_deg=float(degrees[0]),
-        pitch_deg=float(degrees[1]),
-        roll_deg=float(degrees[2]),
+        heading_deg=heading_deg,
+        pitch_deg=pitch_deg,
+        roll_deg=roll_deg,
         sigma_deg=(float(spread[0]), float(spread[1]), float(spread[2])),
         gain=gain,
     )
@@ -258,11 +268,11 @@ def _residuals(
     bias = np.array([regressor.bias(str(s))[0] for s in pairs.boxes.source]).reshape(-1, 2)
     foot[:, 1] -= bias[:, 0]
     residual = foot - pixel - by_point[:, :, 2] * bias[:, 1:]
-    slant2 = np.sum((place - vector[7:9]) ** 2, axis=1) + camera.height_m**2
+    slant2 = np.sum((place - vector[POSITION]) ** 2, axis=1) + camera.height_m**2
     column, row = fit.noise.variances_px2(camera.focal_px**2 / slant2)
     per_metre = np.hypot(by_point[:, :, 0], by_point[:, :, 1])
     # What the model itself does not know of where it points is no turn.
-    own = by_parameter @ fit.covariance[:9, :9]
+    own = by_parameter @ fit.covariance[CAMERA, CAMERA]
     unsure = np.einsum("nij,nij->ni", own, by_parameter)
     late = np.einsum("nij,nj->ni", by_point[:, :, :2], pairs.velocity_mps) * 0.5
     hull = 1.5 * per_metre

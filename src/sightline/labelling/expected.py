@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
-from sightline.camera.pinhole import PARAMETERS, project_with_jacobian
+from sightline.camera.parameters import CAMERA
+from sightline.camera.pinhole import project_with_jacobian
 from sightline.errors import InputError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.georeferencer import Georeferencer
@@ -165,11 +166,10 @@ def expect(
     range_m = np.hypot(off_east, off_north)
     pixel = camera.project(east, north, above)
     _, by_parameter, by_point = project_with_jacobian(
-        fit.vector[: len(PARAMETERS)], georeferencer.image_size_px, east, north, above
+        fit.vector[CAMERA], georeferencer.image_size_px, east, north, above
     )
-    count = len(PARAMETERS)
     variance = np.einsum(
-        "nij,jk,nik->ni", by_parameter, fit.covariance[:count, :count], by_parameter
+        "nij,jk,nik->ni", by_parameter, fit.covariance[CAMERA, CAMERA], by_parameter
     )
     # The receiver is off by as much either way, and the clock moves the target along its course.
     known_m = np.hypot(fit.noise.place_m, _RECEIVER_SIGMA_M)

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from sightline.camera.parameters import LOG_FOCAL
 from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import ScoredPairs, pair_track
@@ -249,7 +250,7 @@ def _source_rows(model: Georeferencer) -> list[SourceRow]:
     fit = model.regressor.camera_fit
     if fit is None:
         return []
-    pixels_per_metre = float(np.exp(fit.vector[4])) / fit.typical_range_m
+    pixels_per_metre = float(np.exp(fit.vector[LOG_FOCAL])) / fit.typical_range_m
     return [
         SourceRow(
             source=source.name or "(unnamed)",
