@@ -44,9 +44,6 @@ class Settings:
     debug: bool = False
 
 
-settings = Settings()
-
-
 def say(line: str = "") -> None:
     """Print a line as it is, however wide the terminal."""
     stdout.print(line, soft_wrap=True, highlight=False, markup=False)
