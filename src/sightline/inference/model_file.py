@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from sightline.detection.camera_motion import View
-from sightline.errors import ModelFileError, SightlineError
+from sightline.errors import ModelFileError, SightlineError, no_model_file
 from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
 from sightline.inference.camera_model import CameraRegressor
@@ -112,7 +112,7 @@ def load_model(path: str | os.PathLike[str]) -> Georeferencer:
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, Any]]:
     if not path.is_file():
-        raise ModelFileError(f"{path}: there is no such model file; `sightline fit` writes one")
+        raise no_model_file(path)
     try:
         with safe_open(path, framework="numpy") as file:
             return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping

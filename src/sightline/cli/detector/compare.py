@@ -15,6 +15,7 @@ from sightline.cli.common import (
     stdout,
     write_result,
 )
+from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
     CropSizeOption,
@@ -37,9 +38,6 @@ from sightline.cli.parsing import (
     parse_pair,
     parse_size_px,
 )
-from sightline.formats import _extras
-from sightline.scene import Scene
-from sightline.training.architecture import ARCHITECTURES
 
 
 def compare(
@@ -90,8 +88,10 @@ def compare(
     json: JsonOption = None,
 ) -> None:
     """Train detectors alike and measure them on recordings that none has seen."""
+    from sightline.formats import _extras
+
     _extras.module("torch", "train")
-    # Late: without torch the other commands must work.
+    from sightline.scene import Scene
     from sightline.training.augmentation import Augmentation
     from sightline.training.comparison import (
         COMPARISON,

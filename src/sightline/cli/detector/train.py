@@ -13,6 +13,7 @@ from sightline.cli.common import (
     say,
     write_result,
 )
+from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
     CropSizeOption,
@@ -36,9 +37,6 @@ from sightline.cli.parsing import (
     parse_size_px,
 )
 from sightline.errors import unknown_name
-from sightline.formats import _extras
-from sightline.scene import Scene
-from sightline.training.architecture import ARCHITECTURES
 
 
 def train(
@@ -128,8 +126,10 @@ def train(
     """Train a detector on the boxes of a scene, and export it to ONNX."""
     if arch not in ARCHITECTURES:
         raise unknown_name("architecture", arch, ARCHITECTURES)
+    from sightline.formats import _extras
+
     _extras.module("torch", "train")
-    # Both are imported late: without torch the other commands must work.
+    from sightline.scene import Scene
     from sightline.training.augmentation import Augmentation
     from sightline.training.data import Labels, parse_margins
     from sightline.training.loop import TrainingSettings

@@ -1,0 +1,63 @@
+"""How long the command line takes to answer, and in how much memory: whole processes.
+
+python benchmarks/start.py [runs]
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import sys
+import tempfile
+import time
+
+ANSWERS = (
+    "--version",
+    "--help",
+    "run --help",
+    "detector train --help",
+    "run nothing.toml -o out",
+    "fit nothing.toml -o model.safetensors",
+    "compare nothing.toml",
+    "track harbour.mp4 --model nothing.safetensors -o tracks.geojson",
+    "detect nothing.mp4 -o boxes.csv",
+)
+RUNS = 11
+
+
+def measured(arguments: list[str], folder: str) -> tuple[float, float]:
+    """Seconds that a process lives, and the most memory that it has, MiB."""
+    started = time.perf_counter()
+    child = os.fork()
+    if child == 0:
+        os.chdir(folder)
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, 1)
+        os.dup2(nothing, 2)
+        os.execv(sys.executable, arguments)
+    _, _, used = os.wait4(child, 0)
+    elapsed_s = time.perf_counter() - started
+    # Kilobytes on Linux, bytes on macOS.
+    return elapsed_s, used.ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
+
+
+def main() -> None:
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else RUNS
+    print(
+        f"{'python -m sightline ...':66} {'least':>8} {'median':>8} {'memory':>9}   ({runs} runs)"
+    )
+    cases = {"(python -c pass)": [sys.executable, "-c", "pass"]}
+    cases |= {line: [sys.executable, "-m", "sightline", *line.split()] for line in ANSWERS}
+    with tempfile.TemporaryDirectory() as folder:
+        for line, arguments in cases.items():
+            measured(arguments, folder)  # the first reads files that the others find in memory
+            made = [measured(arguments, folder) for _ in range(runs)]
+            times_s = [time_s for time_s, _ in made]
+            print(
+                f"{line:66} {min(times_s):6.3f} s {statistics.median(times_s):6.3f} s "
+                f"{max(memory for _, memory in made):5.0f} MiB"
+            )
+
+
+if __name__ == "__main__":
+    main()
