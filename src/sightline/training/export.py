@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from sightline.detection import _onnxruntime
 from sightline.errors import SightlineError
 from sightline.formats import _extras
 from sightline.formats.atomic import atomic_path
@@ -251,7 +251,7 @@ def _difference(
     pictures: Sequence[NDArray[np.uint8]],
 ) -> tuple[float, float]:
     """How far file and network are apart, and the largest output."""
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = _onnxruntime.load().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     stride = info.input_format.stride
     shapes = [shape]
     if info.dynamic_size:
