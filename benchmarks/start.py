@@ -35,8 +35,10 @@ def measured(arguments: list[str], folder: str) -> tuple[float, float]:
         os.dup2(nothing, 1)
         os.dup2(nothing, 2)
         os.execv(sys.executable, arguments)
-    _, _, used = os.wait4(child, 0)
+    _, status, used = os.wait4(child, 0)
     elapsed_s = time.perf_counter() - started
+    if os.waitstatus_to_exitcode(status) not in (0, 2):
+        raise SystemExit(f"{' '.join(arguments)}: neither answered nor refused")
     # Kilobytes on Linux, bytes on macOS.
     return elapsed_s, used.ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
 
