@@ -46,9 +46,8 @@ def measured(arguments: list[str], folder: str) -> tuple[float, float, float]:
 
 def main() -> None:
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else RUNS
-    print(
-        f"{'python -m sightline ...':66} {'least':>8} {'median':>8} {'memory':>9}   ({runs} runs)"
-    )
+    head = f"python -m sightline ... ({runs} runs)"
+    print(f"{head:66} {'least':>8} {'median':>8} {'CPU':>8} {'memory':>9}")
     cases = {"(python -c pass)": [sys.executable, "-c", "pass"]}
     cases |= {line: [sys.executable, "-m", "sightline", *line.split()] for line in ANSWERS}
     with tempfile.TemporaryDirectory() as folder:
