@@ -19,11 +19,12 @@ from pathlib import Path
 import numpy as np
 from _recordings import challenge_scene
 
-from sightline.association import Association, associate, associate_scene, fit_association
+from sightline.association import Association, associate
 from sightline.association.observations import observe
 from sightline.association.search import Watch
 from sightline.errors import FitError
-from sightline.pipeline import place_boxes, score
+from sightline.pipeline.evaluate import place_boxes, score
+from sightline.pipeline.fit_unlabelled import associate_scene, fit_association
 from sightline.scene import Scene
 from sightline.simulation.traffic import Traffic
 

@@ -43,13 +43,9 @@ from sightline.detection import (
 )
 from sightline.detection.onnx import DEFAULT_THRESHOLD
 from sightline.errors import InputError
-from sightline.evaluation.detection import (
-    detect_labelled,
-    pooled,
-    scene_labels,
-    score_detections,
-)
+from sightline.evaluation.detection import pooled, score_detections
 from sightline.scene import Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 from sightline.simulation import Harbour, Renderer
 from sightline.types import Frame
 from sightline.video import write_video

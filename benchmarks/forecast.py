@@ -21,8 +21,8 @@ from _motion import likeliest
 from _recordings import challenge_scene
 
 from sightline.evaluation.forecast import ForecastError, forecast_errors
-from sightline.inference.georeferencer import DEFAULT_MODEL
-from sightline.pipeline import Placed, leave_one_out, place_boxes, score, with_forecasts
+from sightline.georeferencing.models import DEFAULT_MODEL
+from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score, with_forecasts
 from sightline.scene import Scene
 from sightline.synchronisation import synchronise
 from sightline.trajectory.forecast import MotionModel, MotionState, follow

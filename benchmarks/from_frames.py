@@ -29,17 +29,18 @@ from pathlib import Path
 import numpy as np
 from _recordings import challenge_scene
 
-from sightline.association.teach import fit_scene
-from sightline.detection import LowerEdge, SceneDetections
+from sightline.detection import LowerEdge
 from sightline.errors import FitError
-from sightline.evaluation.plots import MapPanel, map_figure, save_figure
 from sightline.evaluation.report import pair_target
 from sightline.formats.labels import read_label_folder
-from sightline.inference.georeferencer import Georeferencer
-from sightline.pipeline import place_boxes
-from sightline.pipeline.tracking import TrackSettings
-from sightline.pipeline.whole import track_recording
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.evaluate import place_boxes
+from sightline.pipeline.fit_unlabelled import fit_scene
+from sightline.pipeline.run import track_recording
+from sightline.pipeline.track import TrackSettings
+from sightline.reporting.plots import MapPanel, map_figure, save_figure
 from sightline.scene import Recording, Scene
+from sightline.scene.detections import SceneDetections
 from sightline.synchronisation import synchronise
 from sightline.types import Boxes, FloatArray
 

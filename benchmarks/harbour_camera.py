@@ -17,8 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.inference.camera_model import CameraRegressor
-from sightline.inference.georeferencer import Georeferencer, fit
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation import simulate
 from sightline.simulation.harbour import Harbour

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from sightline.formats import write_boxes, write_fixes
-from sightline.inference.georeferencer import Georeferencer, fit
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
 from sightline.simulation.harbour import Pile

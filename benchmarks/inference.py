@@ -32,10 +32,12 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sightline.inference.camera_model import CameraRegressor
-from sightline.inference.georeferencer import Georeferencer, fit_pairs
-from sightline.inference.pairs import Pairs, scene_pairs
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs, FitSettings, fit
+from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import BoxNoise, Harbour
 from sightline.simulation.simulate import simulate
@@ -111,8 +113,8 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
 
 def with_sightline(pairs: Pairs, scene: Scene, model: str) -> tuple[Learned, Georeferencer]:
     took, georeferencer = timed(
-        lambda: fit_pairs(
-            pairs, scene, model, position_known=True, image_size_px=CAMERA.image_size_px
+        lambda: fit(
+            FitInputs(pairs, CAMERA.image_size_px, scene.control_points), FitSettings(model)
         )
     )
     camera = georeferencer.camera

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.atomic import atomic_path
 from sightline.detection import DEFAULT_DETECTOR, LowerEdge, detector_by_name
 from sightline.detection.metadata import KEY
-from sightline.formats.atomic import atomic_path
 from sightline.simulation.lower_edge import lower_edge, overhang
 
 FOLD2 = Path(__file__).parent / "detectors" / "fold2.onnx"

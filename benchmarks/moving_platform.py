@@ -35,12 +35,14 @@ from sightline.evaluation.forecast import ForecastPairs, pair_forecasts
 from sightline.evaluation.metrics import ScoredPairs, absolute_error, coverage, pair_track
 from sightline.evaluation.tracking import score_tracking
 from sightline.formats import read_boxes
-from sightline.inference.georeferencer import DEFAULT_MODEL, Georeferencer, fit
-from sightline.inference.levelling import scene_horizons
-from sightline.pipeline import Placed, leave_one_out, place_boxes
-from sightline.pipeline.boxes import moments
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import DEFAULT_MODEL
 from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes
+from sightline.pipeline.fit import fit
+from sightline.pipeline.sources import moments
 from sightline.scene import Recording, Scene
+from sightline.scene.camera_state import scene_horizons
 from sightline.simulation import Simulation, simulate
 from sightline.simulation.harbour import ReceiverNoise
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
@@ -114,7 +116,10 @@ def tracked(model: Georeferencer, recording: Recording, folder: Path, found: Fou
     truth, seen = levelled("truth-boxes"), levelled("detections")
     seen = seen.with_columns(track_id=np.full(len(seen), NO_TRACK))
     trackers: dict[str, Tracker] = {"image": ImageTracker()}
-    trackers["earth"] = WorldTracker(partial(Conditions().locate, model=model), platform=platform)
+    trackers["earth"] = WorldTracker(
+        partial(Conditions().locate, model=model, platform=platform, until_then=True),
+        platform=platform,
+    )
     for name, tracker in trackers.items():
         boxes = Boxes.concatenate([tracker.update(one) for one in moments([seen])])
         score = score_tracking(truth, boxes)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.inference.quadratic import QuadraticKernelRegression
+from sightline.georeferencing.paper.quadratic import QuadraticKernelRegression
 
 FloatArray = NDArray[np.float64]
 

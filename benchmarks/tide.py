@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from sightline.formats import write_boxes, write_fixes
-from sightline.inference.georeferencer import fit
-from sightline.pipeline import place_boxes
+from sightline.pipeline.evaluate import place_boxes
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation import BoxNoise, Harbour, ReceiverNoise, SimulatedCamera
 from sightline.types import FloatArray

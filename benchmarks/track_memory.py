@@ -25,7 +25,7 @@ from rich.table import Table
 
 import sightline
 from sightline import formats
-from sightline.pipeline import TrackSettings
+from sightline.pipeline.track import TrackSettings
 from sightline.simulation.simulate import simulate
 from sightline.types import Frame
 from sightline.video import write_video

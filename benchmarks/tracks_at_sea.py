@@ -16,10 +16,11 @@ import numpy as np
 from _recordings import challenge_scene
 
 from sightline.evaluation.report import Report
-from sightline.inference.georeferencer import MODELS, fit
-from sightline.inference.pairs import scene_pairs
-from sightline.pipeline import compare, place_boxes, score
+from sightline.georeferencing.models import MODELS
+from sightline.pipeline.evaluate import compare, place_boxes, score
+from sightline.pipeline.fit import fit
 from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
 
 NEAR_M = 130.0
 

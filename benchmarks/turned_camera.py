@@ -18,8 +18,8 @@ import numpy as np
 
 import sightline
 from sightline import Georeferencer, Scene
-from sightline.pipeline import place_boxes
-from sightline.pipeline.standing import StandingWatch, recording_conditions
+from sightline.pipeline.camera_state import StandingWatch, recording_conditions
+from sightline.pipeline.evaluate import place_boxes
 from sightline.simulation import Knock, simulate
 from sightline.simulation.harbour import START_UTC_S
 

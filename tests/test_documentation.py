@@ -15,11 +15,11 @@ import pytest
 import typer
 
 import sightline
+from sightline.camera.pinhole import Camera
 from sightline.cli import app
 from sightline.evaluation import evaluate_tracks
 from sightline.formats import track_table, write_boxes, write_fixes
 from sightline.geodesy import LocalPlane
-from sightline.inference.camera import Camera
 from sightline.simulation import simulate
 from sightline.trajectory import METHODS
 from sightline.types import Fixes, Track

@@ -15,11 +15,12 @@ from sightline.platform import (
     moved_positions,
     moved_track,
     north_up,
+    on_earth,
     to_bow,
 )
 from sightline.synchronisation import synchronise
 from sightline.trajectory import method
-from sightline.types import Fixes, Headings, Positions
+from sightline.types import BodyPositions, Fixes, Headings
 
 PLANE = LocalPlane(54.0, 10.0)
 
@@ -33,12 +34,14 @@ def pose(heading_deg: float, en_m: tuple[float, float] = (0.0, 0.0), n: int = 1)
     )
 
 
-def positions(starboard_ahead_m: np.ndarray, covariance_m2: np.ndarray | None = None) -> Positions:
+def positions(
+    starboard_ahead_m: np.ndarray, covariance_m2: np.ndarray | None = None
+) -> BodyPositions:
     n = len(starboard_ahead_m)
     covariance = np.zeros((n, 2, 2)) if covariance_m2 is None else covariance_m2
-    return Positions(
-        east_m=starboard_ahead_m[:, 0],
-        north_m=starboard_ahead_m[:, 1],
+    return BodyPositions(
+        starboard_m=starboard_ahead_m[:, 0],
+        ahead_m=starboard_ahead_m[:, 1],
         covariance_m2=covariance,
         extrapolated=np.zeros(n, dtype=bool),
         plane=PLANE,
@@ -74,6 +77,22 @@ def test_there_and_back(heading_deg: float, east: float, north: float) -> None:
     seen = to_bow(np.array([[east, north]]), where)
     back = moved_positions(north_up(positions(seen), where), where)
     np.testing.assert_allclose([back.east_m[0], back.north_m[0]], [east, north], atol=1e-9)
+
+
+def test_only_places_on_the_earth_have_a_latitude() -> None:
+    where = pose(90.0, (40.0, -70.0))
+    body = positions(np.array([[3.0, 200.0]]))
+    about = north_up(body, where)
+    for relative in (body, about):
+        assert not hasattr(relative, "latitude_deg")
+        assert not hasattr(relative, "longitude_deg")
+    # Under way to the east: 200 m ahead lie east, 3 m to starboard lie south.
+    earth = on_earth(body, where)
+    expected = PLANE.to_geographic([40.0 + 200.0], [-70.0 - 3.0])
+    np.testing.assert_allclose(earth.latitude_deg, expected[0], atol=1e-12)
+    np.testing.assert_allclose(earth.longitude_deg, expected[1], atol=1e-12)
+    with pytest.raises(InputError, match="2 poses for 1 boxes"):
+        on_earth(body, pose(90.0, (40.0, -70.0), n=2))
 
 
 def test_an_unsure_heading_swings_a_place_across_the_line_of_sight() -> None:
@@ -119,9 +138,8 @@ def test_a_track_is_put_where_the_platform_was() -> None:
     times = np.arange(0.0, 20.0)
     platform = Platform(log(times, np.stack([2.0 * times, np.zeros(20)], axis=1)))
     # Seen from the platform it falls astern at 2 m/s: it lies still.
-    seen = positions(
-        np.stack([100.0 - 2.0 * times, np.full(20, 50.0)], axis=1), np.tile(np.eye(2), (20, 1, 1))
-    )
+    there = np.stack([100.0 - 2.0 * times, np.full(20, 50.0)], axis=1)
+    seen = north_up(positions(there, np.tile(np.eye(2), (20, 1, 1))), pose(0.0, n=20))
     made = method("rts").apply(times, seen, track_id=1)
     track = moved_track(made, platform.pose(made.time_utc_s, PLANE))
     np.testing.assert_allclose(track.east_m, 100.0, atol=1e-3)
@@ -213,15 +231,16 @@ def test_silence_in_the_log_leaves_no_place_and_no_way_across_it() -> None:
 def test_a_track_is_as_unsure_of_its_velocity_as_the_platform_is_of_its_own() -> None:
     times = np.arange(0.0, 20.0)
     platform = Platform(log(times, np.stack([2.0 * times, np.zeros(20)], axis=1)))
-    seen = positions(np.full((20, 2), 50.0), np.tile(np.eye(2), (20, 1, 1)))
+    about = positions(np.full((20, 2), 50.0), np.tile(np.eye(2), (20, 1, 1)))
+    seen = north_up(about, pose(0.0, n=20))
     made = method("rts").apply(times, seen, track_id=1)
-    pose = platform.pose(made.time_utc_s, PLANE)
-    track = moved_track(made, pose)
+    where = platform.pose(made.time_utc_s, PLANE)
+    track = moved_track(made, where)
     np.testing.assert_allclose(
         track.velocity_covariance_m2ps2 - made.velocity_covariance_m2ps2,
-        pose.covariance[:, 1:, 1:] * np.eye(2),
+        where.covariance[:, 1:, 1:] * np.eye(2),
     )
-    assert (pose.covariance[:, 1, 1] > 0.0).all()
+    assert (where.covariance[:, 1, 1] > 0.0).all()
 
 
 def test_a_place_is_told_where_the_log_is_interpolated() -> None:

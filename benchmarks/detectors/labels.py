@@ -23,20 +23,15 @@ import numpy as np
 from measure import DATA, DRAWN, TEST
 
 from sightline import fit
+from sightline.atomic import atomic_path
 from sightline.detection import DetectorOptions, OnnxDetector
-from sightline.evaluation.detection import (
-    JudgedFrame,
-    detect_labelled,
-    pooled,
-    scene_labels,
-    score_detections,
-)
-from sightline.formats.atomic import atomic_path
+from sightline.evaluation.detection import JudgedFrame, pooled, score_detections
 from sightline.formats.labels import Labels as Known
 from sightline.formats.labels import Margin, read_label_folder, write_labels
 from sightline.labelling import learn_size, propose
 from sightline.overlap import iou
 from sightline.scene import Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 from sightline.training.data import Labels
 from sightline.training.loop import TrainingSettings
 from sightline.training.recipe import Recipe, train_detector

@@ -22,16 +22,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from sightline.atomic import atomic_path
 from sightline.detection import DetectorOptions, OnnxDetector, ViewSettings, detector_by_name
-from sightline.evaluation.detection import (
-    detect_labelled,
-    pooled,
-    scene_labels,
-    score_detections,
-)
-from sightline.formats.atomic import atomic_path
+from sightline.evaluation.detection import pooled, score_detections
 from sightline.formats.labels import Margin
 from sightline.scene import Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 from sightline.types import Boxes, Frame
 
 HERE = Path(__file__).resolve().parent

@@ -14,10 +14,13 @@ from typing import TYPE_CHECKING, Any
 from sightline.errors import FitError, InputError, ModelFileError, SightlineError
 
 if TYPE_CHECKING:
-    from sightline.association.teach import fit_scene as fit
-    from sightline.inference.georeferencer import MODELS, Georeferencer
-    from sightline.inference.model_file import load_model as load
-    from sightline.pipeline import compare, evaluate, iter_tracks, run, track
+    from sightline.georeferencing.georeferencer import Georeferencer
+    from sightline.georeferencing.georeferencer import load_model as load
+    from sightline.georeferencing.models import MODELS
+    from sightline.pipeline.evaluate import compare, evaluate
+    from sightline.pipeline.fit_unlabelled import fit_scene as fit
+    from sightline.pipeline.run import run
+    from sightline.pipeline.track import iter_tracks, track
     from sightline.scene import Scene
     from sightline.tracks import Tracks
     from sightline.types import Boxes, Fixes, Positions, Track
@@ -26,21 +29,29 @@ __version__ = _version("sightline")
 
 # Where the names are that bring scikit-learn, video and readers along: on first use.
 _LATER = {
-    "fit": "sightline.association.teach",
-    **dict.fromkeys(("MODELS", "Georeferencer"), "sightline.inference.georeferencer"),
-    "load": "sightline.inference.model_file",
-    **dict.fromkeys(("compare", "evaluate", "iter_tracks", "run", "track"), "sightline.pipeline"),
+    "fit": "sightline.pipeline.fit_unlabelled:fit_scene",
+    "MODELS": "sightline.georeferencing.models",
+    "Georeferencer": "sightline.georeferencing.georeferencer",
+    "load": "sightline.georeferencing.georeferencer:load_model",
+    "compare": "sightline.pipeline.evaluate",
+    "evaluate": "sightline.pipeline.evaluate",
+    "iter_tracks": "sightline.pipeline.track",
+    "run": "sightline.pipeline.run",
+    "track": "sightline.pipeline.track",
     "Scene": "sightline.scene",
     "Tracks": "sightline.tracks",
-    **dict.fromkeys(("Boxes", "Fixes", "Positions", "Track"), "sightline.types"),
+    "Boxes": "sightline.types",
+    "Fixes": "sightline.types",
+    "Positions": "sightline.types",
+    "Track": "sightline.types",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = _import_module(_LATER[name])
-    value = getattr(module, {"load": "load_model", "fit": "fit_scene"}.get(name, name))
+    module, _, attribute = _LATER[name].partition(":")
+    value = getattr(_import_module(module), attribute or name)
     globals()[name] = value
     return value
 

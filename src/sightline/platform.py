@@ -6,9 +6,11 @@ Three frames meet here:
   there, because they go straight there;
 * **north up**: east and north of the platform as it moves. Targets are smoothed there, because the
   camera looks from its origin;
-* the **bow's**: to starboard and ahead of the platform. A camera bolted to the platform always
-  sees the same of it, so this is the plane that a model learns: its east is starboard, its north
-  ahead.
+* the **body** frame: to starboard and ahead of the platform. A camera bolted to the platform
+  always sees the same of it, so this is the plane that a model learns.
+
+Each has a type of its own (`Positions`, `PlatformPositions`, `BodyPositions`), and only the earth's
+has a latitude.
 
 A receiver's error lasts for tens of seconds, and what it changes by from one fix to the next is no
 motion: two fixes a second apart tell a velocity to half a metre a second, which is thirty metres
@@ -24,9 +26,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct
-from sightline.types import BoolArray, Fixes, FloatArray, Headings, IntArray, Positions, Track
+from sightline.types import (
+    BodyPositions,
+    BoolArray,
+    Fixes,
+    FloatArray,
+    Headings,
+    IntArray,
+    PlatformPositions,
+    Positions,
+    Track,
+)
 
 POSITION_SIGMA_M = 1.5
 """How far off the platform's own log is taken to be, of each of east and north."""
@@ -340,8 +353,8 @@ def turned(en_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     return np.stack([cosine * east - sine * north, sine * east + cosine * north], axis=1)
 
 
-def north_up(positions: Positions, pose: Pose) -> Positions:
-    """Positions in the bow's frame, turned so that north is up.
+def north_up(positions: BodyPositions, pose: Pose) -> PlatformPositions:
+    """Positions in the body frame, turned so that north is up.
 
     What the heading is off swings a place about the platform; a target has that in common with
     itself a moment later, as it has what the platform's log is off.
@@ -352,8 +365,16 @@ def north_up(positions: Positions, pose: Pose) -> Positions:
 
     Returns:
         N rows, east and north of the platform; NaN where the heading is not known.
+
+    Raises:
+        InputError: There are other than N poses.
     """
-    starboard_ahead = np.stack([positions.east_m, positions.north_m], axis=1)
+    if len(pose.en_m) != len(positions):
+        raise InputError(
+            f"{len(pose.en_m)} poses for {len(positions)} boxes; give the platform's pose at the "
+            "time of each box"
+        )
+    starboard_ahead = np.stack([positions.starboard_m, positions.ahead_m], axis=1)
     en_m = turned(starboard_ahead, -pose.heading_rad)
     sine, cosine = np.sin(pose.heading_rad), np.cos(pose.heading_rad)
     turn = np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
@@ -367,29 +388,32 @@ def north_up(positions: Positions, pose: Pose) -> Positions:
         return np.asarray(turn @ covariance_m2 @ np.swapaxes(turn, 1, 2) + own)
 
     known = pose.known
-    return replace(
-        positions,
+    return PlatformPositions(
         east_m=np.where(known, en_m[:, 0], np.nan),
         north_m=np.where(known, en_m[:, 1], np.nan),
         covariance_m2=np.where(
             known[:, None, None], turned_covariance(positions.covariance_m2), np.nan
         ),
-        shared_covariance_m2=turned_covariance(positions.shared_covariance_m2),
         extrapolated=positions.extrapolated | ~known,
+        plane=positions.plane,
+        shared_covariance_m2=turned_covariance(positions.shared_covariance_m2),
     )
 
 
-def moved_positions(positions: Positions, pose: Pose) -> Positions:
+def moved_positions(positions: PlatformPositions, pose: Pose) -> Positions:
     """Positions about the platform (`north_up`) in the earth's plane."""
-    return replace(
-        positions,
+    return Positions(
         east_m=positions.east_m + pose.en_m[:, 0],
         north_m=positions.north_m + pose.en_m[:, 1],
+        covariance_m2=positions.covariance_m2,
+        extrapolated=positions.extrapolated,
+        plane=positions.plane,
+        shared_covariance_m2=positions.shared_covariance_m2,
     )
 
 
-def on_earth(positions: Positions, pose: Pose) -> Positions:
-    """Positions in the bow's frame, starboard and ahead, in the earth's plane."""
+def on_earth(positions: BodyPositions, pose: Pose) -> Positions:
+    """Positions in the body frame, starboard and ahead, in the earth's plane."""
     return moved_positions(north_up(positions, pose), pose)
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
-from sightline.types import BoolArray, Fixes, FloatArray
+from sightline.types import BoolArray, Fixes, FloatArray, utc_text
 
 LARGEST_GAP_S = 8.0
 """A time counts where the fixes on either side of it are at most this far apart."""
@@ -114,3 +115,27 @@ def synchronise(
         return np.where(matched, rate, np.nan)
 
     return Synchronised(between(east), between(north), slope(east), slope(north), gap)
+
+
+def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
+    """Refuse a log that has nothing to do with a recording.
+
+    Args:
+        time_utc_s: (N,) POSIX seconds of the recording's boxes or frames.
+        fixes: The log.
+        where: Which recording, for the message.
+
+    Raises:
+        InputError: No time lies between the first and the last fix; states both spans.
+    """
+    known = time_utc_s[np.isfinite(time_utc_s)]
+    if known.size and len(fixes):
+        first, last = fixes.time_utc_s[[0, -1]]
+        if ((known >= first) & (known <= last)).any():
+            return
+        raise InputError(
+            f"{where}: its log does not overlap it; the recording runs from "
+            f"{utc_text(known.min())} to {utc_text(known.max())}, the log from {utc_text(first)} "
+            f"to {utc_text(last)} (UTC)"
+        )
+    raise InputError(f"{where}: has no times or an empty log")

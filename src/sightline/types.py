@@ -6,13 +6,15 @@ Conventions, said once:
   x to the right and y down. The *foot* of a box is the middle of its lower edge.
 * **Times** are POSIX seconds, UTC, as float64 (``time_utc_s``): good to a quarter of a
   microsecond. NaN is a time that is not known.
-* **Positions** are metres east and north of the origin of a `LocalPlane`. NaN is no position.
+* **Positions** are metres east and north of the origin of a `LocalPlane`; relative to a platform
+  that moves they are of other types, without a latitude. NaN is no position.
 * **Covariances** are 2 x 2, square metres, in the order east, north.
 * **Courses and bearings** are degrees clockwise from north, in [0, 360).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Self
@@ -65,10 +67,18 @@ def rfc3339(time_utc_s: float) -> str:
     return f"{np.datetime_as_string(to_datetime64(time_utc_s), 's')}Z"
 
 
-def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> None:
+def _column(
+    table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]
+) -> NDArray[Any]:
+    """A copy of the values as a column, or an error that names it."""
     array = np.array(values, dtype=dtype)
     if array.shape != shape:
         raise InputError(f"{type(table).__name__}.{name} has shape {array.shape}, expected {shape}")
+    return array
+
+
+def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> None:
+    array = _column(table, name, values, dtype, shape)
     array.flags.writeable = False
     object.__setattr__(table, name, array)
 
@@ -78,10 +88,31 @@ class _Columns:
 
     _row_fields: tuple[str, ...] = ()
 
+    _any_rows = False
+    """Whether rows of such a table, whichever and in whatever order, are one again."""
+
     def __getitem__(self, rows: Any) -> Self:
-        """The rows that an index array, a mask or a slice selects, as a new table."""
+        """The rows that an index array, a mask or a slice selects, as a new table.
+
+        What a slice selects stays where it is, as in an array; the rest is copied.
+        """
         chosen = {name: getattr(self, name)[rows] for name in self._row_fields}
+        first = self._row_fields[0]
+        if self._any_rows and chosen[first].ndim == getattr(self, first).ndim:
+            return self._unchecked(chosen)
         return replace(self, **chosen)  # type: ignore[type-var]
+
+    def _unchecked(self, columns: Mapping[str, NDArray[Any]]) -> Self:
+        """This table with other columns, which are known to hold what it promises.
+
+        What came in over a border was checked there; checking it again with each selection took
+        longer than the work on it.
+        """
+        table = object.__new__(type(self))
+        for column in columns.values():
+            column.flags.writeable = False
+        table.__dict__.update(self.__dict__, **columns)
+        return table
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +165,7 @@ class Boxes(_Columns):
         "track_id",
         "label",
     )
+    _any_rows = True
 
     def __post_init__(self) -> None:
         n = np.shape(self.xyxy_px)[0] if np.ndim(self.xyxy_px) == 2 else -1
@@ -201,22 +233,44 @@ class Boxes(_Columns):
 
     @classmethod
     def concatenate(cls, tables: list[Boxes]) -> Boxes:
-        """One table with the rows of all, in their order."""
+        """One table with the rows of all, in their order, located if all of them are."""
         if not tables:
             return cls.of(np.empty((0, 4)))
-        return cls(
-            **{
-                name: np.concatenate([getattr(table, name) for table in tables])
-                for name in cls._row_fields
-            }
-        )
+        return (type(tables[0]) if len({*map(type, tables)}) == 1 else Boxes)._joined(tables)
+
+    @classmethod
+    def _joined(cls, tables: Sequence[Boxes]) -> Boxes:
+        empty = object.__new__(Boxes)
+        return empty._unchecked(_joined_columns(tables, Boxes._row_fields))
 
     def with_columns(self, **columns: ArrayLike) -> Boxes:
         """A copy with some columns replaced, each (N,) or (N, 4) for ``xyxy_px``."""
-        return replace(self, **columns)  # type: ignore[arg-type]
+        if not columns.keys() <= _UNBOUND.keys():
+            return replace(self, **columns)  # type: ignore[arg-type]
+        shape = (len(self),)
+        return self._unchecked(
+            {
+                name: _column(self, name, values, _UNBOUND[name], shape)
+                for name, values in columns.items()
+            }
+        )
 
     def __len__(self) -> int:
         return int(self.xyxy_px.shape[0])
+
+
+_UNBOUND: dict[str, Any] = {
+    "frame": np.int64,
+    "time_utc_s": np.float64,
+    "source": np.str_,
+    "track_id": np.int64,
+    "label": np.str_,
+}
+"""Columns of boxes in which any value may stand, and their types."""
+
+
+def _joined_columns(tables: Sequence[Any], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    return {name: np.concatenate([getattr(table, name) for table in tables]) for name in names}
 
 
 def check_boxes(xyxy_px: FloatArray) -> None:
@@ -369,6 +423,7 @@ class ControlPoints(_Columns):
     longitude_deg: FloatArray
 
     _row_fields = ("pixel_px", "latitude_deg", "longitude_deg")
+    _any_rows = True
 
     def __post_init__(self) -> None:
         n = np.size(self.latitude_deg)
@@ -384,8 +439,10 @@ class ControlPoints(_Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Positions(_Columns):
-    """Where boxes lie on the earth, one row a box.
+class EastNorthPositions(_Columns):
+    """Metres east and north of an origin, with covariance, one row a box.
+
+    What the origin is, the two types that are made of it say: `Positions` and `PlatformPositions`.
 
     Attributes:
         east_m: (N,) float64, metres; NaN where there is no position (at or above the horizon).
@@ -393,7 +450,7 @@ class Positions(_Columns):
         covariance_m2: (N, 2, 2) float64, NaN where there is no position.
         extrapolated: (N,) bool, True where the box lies beyond those that the model learned from,
             and where there is no position at all.
-        plane: Where the origin lies on the earth.
+        plane: The plane of the earth that they are in, or will be moved to.
         shared_covariance_m2: (N, 2, 2) float64, the part of ``covariance_m2`` that a target has
             in common with itself a moment later, and that time does not average out: of the
             camera's parameters, the clock, the habits of a source. Absent: zero.
@@ -407,16 +464,10 @@ class Positions(_Columns):
     shared_covariance_m2: FloatArray | None = None
 
     _row_fields = ("east_m", "north_m", "covariance_m2", "extrapolated", "shared_covariance_m2")
+    _any_rows = True
 
     def __post_init__(self) -> None:
-        n = np.size(self.east_m)
-        _freeze(self, "east_m", self.east_m, np.float64, (n,))
-        _freeze(self, "north_m", self.north_m, np.float64, (n,))
-        _freeze(self, "covariance_m2", self.covariance_m2, np.float64, (n, 2, 2))
-        _freeze(self, "extrapolated", self.extrapolated, np.bool_, (n,))
-        shared = self.shared_covariance_m2
-        shared = np.zeros((n, 2, 2)) if shared is None else shared
-        _freeze(self, "shared_covariance_m2", shared, np.float64, (n, 2, 2))
+        _freeze_places(self, "east_m", "north_m")
 
     def __len__(self) -> int:
         return int(self.east_m.size)
@@ -425,6 +476,16 @@ class Positions(_Columns):
     def known(self) -> BoolArray:
         """(N,) bool, True where there is a position."""
         return np.isfinite(self.east_m)
+
+    @property
+    def range_m(self) -> FloatArray:
+        """(N,) metres from the origin."""
+        return np.hypot(self.east_m, self.north_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Positions(EastNorthPositions):
+    """Where boxes lie on the earth: east and north of the origin of a `LocalPlane`."""
 
     @property
     def latitude_deg(self) -> FloatArray:
@@ -436,10 +497,131 @@ class Positions(_Columns):
         """(N,) degrees east, NaN where there is no position."""
         return self.plane.to_geographic(self.east_m, self.north_m)[1]
 
+
+@dataclass(frozen=True, eq=False)
+class PlatformPositions(EastNorthPositions):
+    """Where boxes lie relative to a platform that moves: east and north of it.
+
+    They have no latitude before they are moved to where the platform was.
+    """
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPositions(_Columns):
+    """Where boxes lie in the body frame of a platform: to starboard and ahead of it.
+
+    They have no latitude before it is known where the platform was and how it pointed.
+
+    Attributes:
+        starboard_m: (N,) float64, metres; NaN where there is no position.
+        ahead_m: (N,) float64, metres.
+        covariance_m2: (N, 2, 2) float64, in the order starboard, ahead.
+        extrapolated: (N,) bool; see `EastNorthPositions`.
+        plane: The plane of the earth that they will be moved to.
+        shared_covariance_m2: (N, 2, 2) float64; see `EastNorthPositions`.
+    """
+
+    starboard_m: FloatArray
+    ahead_m: FloatArray
+    covariance_m2: FloatArray
+    extrapolated: BoolArray
+    plane: LocalPlane
+    shared_covariance_m2: FloatArray | None = None
+
+    _row_fields = (
+        "starboard_m",
+        "ahead_m",
+        "covariance_m2",
+        "extrapolated",
+        "shared_covariance_m2",
+    )
+
+    def __post_init__(self) -> None:
+        _freeze_places(self, "starboard_m", "ahead_m")
+
+    def __len__(self) -> int:
+        return int(self.starboard_m.size)
+
     @property
-    def range_m(self) -> FloatArray:
-        """(N,) metres from the origin of the plane."""
-        return np.hypot(self.east_m, self.north_m)
+    def known(self) -> BoolArray:
+        """(N,) bool, True where there is a position."""
+        return np.isfinite(self.starboard_m)
+
+
+def _freeze_places(table: Any, first: str, second: str) -> None:
+    n = np.size(getattr(table, first))
+    _freeze(table, first, getattr(table, first), np.float64, (n,))
+    _freeze(table, second, getattr(table, second), np.float64, (n,))
+    _freeze(table, "covariance_m2", table.covariance_m2, np.float64, (n, 2, 2))
+    _freeze(table, "extrapolated", table.extrapolated, np.bool_, (n,))
+    shared = table.shared_covariance_m2
+    shared = np.zeros((n, 2, 2)) if shared is None else shared
+    _freeze(table, "shared_covariance_m2", shared, np.float64, (n, 2, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedBoxes(Boxes):
+    """Boxes with their positions, which go with them through selection and concatenation.
+
+    Attributes:
+        positions: N rows, as `Georeferencer.locate` has them.
+
+    Raises:
+        InputError: There is not one position a box.
+    """
+
+    positions: Positions
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.positions) != len(self):
+            raise InputError(
+                f"{len(self)} boxes and {len(self.positions)} positions; each needs one"
+            )
+
+    @classmethod
+    def at(cls, boxes: Boxes, positions: Positions) -> LocatedBoxes:
+        """Boxes with the positions that were found for them.
+
+        Args:
+            boxes: N rows.
+            positions: N rows.
+
+        Raises:
+            InputError: There is not one position a box.
+        """
+        if len(positions) != len(boxes):
+            raise InputError(f"{len(boxes)} boxes and {len(positions)} positions; each needs one")
+        located = object.__new__(cls)
+        located.__dict__.update(boxes.__dict__, positions=positions)
+        return located
+
+    def __getitem__(self, rows: Any) -> Self:
+        """See `Boxes`."""
+        chosen = super().__getitem__(rows)
+        chosen.__dict__["positions"] = self.positions[rows]
+        return chosen
+
+    @classmethod
+    def _joined(cls, tables: Sequence[Any]) -> Boxes:
+        positions = [table.positions for table in tables]
+        columns = _joined_columns(positions, Positions._row_fields)
+        joined = tables[0]._unchecked(_joined_columns(tables, Boxes._row_fields))
+        joined.__dict__["positions"] = positions[0]._unchecked(columns)
+        return joined  # type: ignore[no-any-return]
+
+    def with_columns(self, **columns: ArrayLike) -> Boxes:
+        """See `Boxes`; with other corners, times or sources they are no longer located."""
+        if columns.keys() & {"xyxy_px", "time_utc_s", "source"}:
+            return self.boxes.with_columns(**columns)
+        return super().with_columns(**columns)
+
+    @property
+    def boxes(self) -> Boxes:
+        """The same without their positions."""
+        plain = object.__new__(Boxes)
+        plain.__dict__.update({name: getattr(self, name) for name in Boxes._row_fields})
+        return plain
 
 
 class PointKind(IntEnum):
@@ -565,3 +747,27 @@ def ellipses(covariance_m2: FloatArray, probability: float = 0.95) -> Ellipses:
         semi_minor_m=np.where(known, axes[:, 0], np.nan),
         bearing_deg=np.where(known, bearing, np.nan),
     )
+
+
+def check_inside(boxes: Boxes, size_px: tuple[int, int], where: str = "") -> None:
+    """Refuse boxes that have nothing to do with a picture.
+
+    Args:
+        boxes: The boxes.
+        size_px: Width and height of the picture.
+        where: Begins the message: the file.
+
+    Raises:
+        InputError: A box lies wholly outside the picture; names the first.
+    """
+    x1, y1, x2, y2 = boxes.xyxy_px.T
+    outside = (x2 <= 0.0) | (y2 <= 0.0) | (x1 >= size_px[0]) | (y1 >= size_px[1])
+    if outside.any():
+        i = int(np.argmax(outside))
+        box = ",".join(f"{value:g}" for value in boxes.xyxy_px[i])
+        known = boxes.frame[i] != NO_FRAME
+        name = f"the box of frame {boxes.frame[i]}" if known else f"box {i + 1}"
+        raise InputError(
+            f"{where}{name} ({box}) lies wholly outside the picture of {size_px[0]} x "
+            f"{size_px[1]} px; was it drawn in a picture of another size?"
+        )

@@ -6,13 +6,14 @@ import numpy as np
 import pyais
 import pytest
 
-from sightline.association import associate, associate_scene, fit_association
+from sightline.association import associate
 from sightline.association.observations import observe
 from sightline.association.search import Watch
 from sightline.detection import LowerEdge
 from sightline.errors import FitError, InputError
 from sightline.formats import read_ais_feed, write_boxes
-from sightline.pipeline import place_boxes, score
+from sightline.pipeline.evaluate import place_boxes, score
+from sightline.pipeline.fit_unlabelled import associate_scene, fit_association
 from sightline.scene import Scene
 from sightline.simulation.traffic import Traffic
 from sightline.types import Boxes, to_datetime64

@@ -887,7 +887,7 @@ def test_a_bug_leaves_no_folder_of_results(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr("sightline.reporting.run_page", fail)
+    monkeypatch.setattr("sightline.reporting.run_report.run_page", fail)
     with pytest.raises(RuntimeError, match="a bug"):
         sightline("run", harbour / "scene.toml", "-o", tmp_path / "a" / "b", "--model", "qkr")
     assert not (tmp_path / "a").exists()
@@ -904,13 +904,13 @@ def test_debug_shows_where_an_error_came_from(sightline: Command, tmp_path: Path
 def test_a_bug_shows_its_traceback_and_exits_with_1(harbour: Path, tmp_path: Path) -> None:
     script = f"""
 import sys
-import sightline.association
+import sightline.pipeline.fit_unlabelled
 import sightline.cli
 
 def bug(*_, **__):
     raise RuntimeError("a bug")
 
-sightline.association.fit_scene = bug
+sightline.pipeline.fit_unlabelled.fit_scene = bug
 sightline.cli.main(["fit", {str(harbour / "scene.toml")!r}, "-o", {str(tmp_path / "out")!r}])
 """
     done = subprocess.run(

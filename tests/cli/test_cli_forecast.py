@@ -9,7 +9,7 @@ import pytest
 
 from sightline import load
 from sightline.formats import read_tracks
-from sightline.pipeline import TrackSettings, iter_tracks
+from sightline.pipeline.track import TrackSettings, iter_tracks
 from sightline.scene import Scene
 from sightline.types import PointKind, Track
 

@@ -14,9 +14,9 @@ from sightline.detection import DEFAULT_DETECTOR, VIEWS
 from sightline.detection.decoders import DECODERS
 from sightline.detection.onnx import PROVIDERS
 from sightline.evaluation.detection import DEFAULT_IOU
-from sightline.inference.georeferencer import DEFAULT_MODEL, MODELS
+from sightline.georeferencing.models import DEFAULT_MODEL, MODELS
 from sightline.labelling import DEFAULT_LABEL
-from sightline.pipeline import DEFAULT_TRAJECTORY
+from sightline.pipeline.track import DEFAULT_TRAJECTORY
 from sightline.training.architecture import ARCHITECTURES
 from sightline.training.darknet.cfg import PUBLISHED
 

@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto
 
-from sightline.detection import (
-    DetectorOptions,
-    OnnxDetector,
-    View,
-    ViewSettings,
-    detector_by_name,
-)
+from sightline.detection import DetectorOptions, OnnxDetector, View, ViewSettings, detector_by_name
 from sightline.detection.metadata import DetectorMetadata, LowerEdge
 from sightline.detection.onnx import available_providers
 from sightline.errors import InputError

@@ -9,15 +9,10 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.evaluation.detection import (
-    JudgedFrame,
-    detect_labelled,
-    pooled,
-    scene_labels,
-    score_detections,
-)
+from sightline.evaluation.detection import JudgedFrame, pooled, score_detections
 from sightline.formats.labels import parse_margins, read_label_folder, read_labels
 from sightline.scene import Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 from sightline.types import Boxes, Frame
 
 A = [100.0, 100.0, 140.0, 120.0]

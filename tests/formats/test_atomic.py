@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats.atomic import atomic_path
 
 
 def write_half_and_raise(target: Path, error: Exception) -> None:

@@ -8,14 +8,9 @@ import pytest
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
-from sightline.platform import Platform
-from sightline.tracking import (
-    ImageTracker,
-    TargetTracker,
-    WorldTracker,
-    WorldTrackerSettings,
-)
-from sightline.types import Boxes, Fixes, FloatArray, Headings, Positions
+from sightline.platform import Platform, on_earth
+from sightline.tracking import ImageTracker, TargetTracker, WorldTracker, WorldTrackerSettings
+from sightline.types import BodyPositions, Boxes, Fixes, FloatArray, Headings, Positions
 
 HEIGHT_M, FOCAL_PX, HORIZON_PX, CENTRE_PX = 6.0, 1000.0, 200.0, 640.0
 
@@ -206,6 +201,44 @@ def test_a_run_that_is_resumed_gives_the_ids_of_one_that_was_not(kind: str) -> N
     assert json.loads(json.dumps(new().state(), allow_nan=False)) == new().state()
 
 
+@pytest.mark.parametrize("kind", ["image", "world"])
+def test_many_moments_at_once_get_the_ids_of_one_after_the_other(kind: str) -> None:
+    def new() -> TargetTracker:
+        return ImageTracker() if kind == "image" else WorldTracker(locate)
+
+    rng = np.random.default_rng(6)
+    moments = []
+    for i in range(150):
+        here = [box_of(-50.0 + 0.4 * i, 90.0), box_of(50.0 - 0.5 * i, 140.0), box_of(0.0, 40.0)]
+        kept = rng.random(3) < 0.8
+        # Some have no place: they are above the horizon.
+        high = [[300.0 + i, 20.0, 340.0 + i, 50.0]]
+        noisy = np.array(here)[kept] + rng.normal(0.0, 0.5, (int(kept.sum()), 4))
+        sure = rng.uniform(0.2, 1.0, len(noisy) + 1)
+        moments.append(
+            Boxes.of(np.concatenate([noisy, high]), time_utc_s=1e9 + 0.1 * i, confidence=sure)
+        )
+    one, several = new(), new()
+    expected = Boxes.concatenate([one.update(boxes) for boxes in moments])
+    got = Boxes.concatenate(
+        [several.follow(Boxes.concatenate(part)) for part in (moments[:70], moments[70:])]
+    )
+    assert np.unique(expected.track_id).size >= 3
+    np.testing.assert_array_equal(got.track_id, expected.track_id)
+    np.testing.assert_array_equal(got.xyxy_px, expected.xyxy_px)
+    assert several.state() == one.state()
+
+
+def test_moments_in_no_order_are_refused() -> None:
+    tracker = ImageTracker()
+    two = Boxes.of([box_of(0.0, 50.0)] * 2, time_utc_s=[2.0, 1.0])
+    with pytest.raises(InputError, match="in no order"):
+        tracker.follow(two)
+    tracker.follow(two[[1, 0]])
+    with pytest.raises(InputError, match="1 s before"):
+        tracker.follow(two[[1]])
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
@@ -267,6 +300,20 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
         assert cost[rows, columns].sum() == pytest.approx(table[best][taken].sum(), abs=1e-9)
 
 
+def of_platform(boxes: Boxes, platform: Platform, plane: LocalPlane) -> Positions:
+    """Where boxes lie on the earth that a camera on a platform sees as `locate` says."""
+    seen = locate(boxes)
+    body = BodyPositions(
+        seen.east_m,
+        seen.north_m,
+        seen.covariance_m2,
+        seen.extrapolated,
+        plane,
+        seen.shared_covariance_m2,
+    )
+    return on_earth(body, platform.pose(boxes.time_utc_s, plane, until_then=True))
+
+
 @pytest.mark.parametrize("on_board", [True, False])
 def test_from_a_vessel_that_turns_an_identity_is_kept_on_the_earth(on_board: bool) -> None:
     """A boat at anchor is hidden while the vessel swings round by 25 degrees: it has moved in the
@@ -289,7 +336,11 @@ def test_from_a_vessel_that_turns_an_identity_is_kept_on_the_earth(on_board: boo
         return at
 
     boats = [seen_from(20.0, 120.0), seen_from(-25.0, 140.0)]
-    tracker = WorldTracker(locate, platform=platform) if on_board else WorldTracker(locate)
+
+    def on_the_earth(boxes: Boxes) -> Positions:
+        return of_platform(boxes, platform, plane)
+
+    tracker = WorldTracker(on_the_earth, platform=platform) if on_board else WorldTracker(locate)
     out = run(tracker, seconds, boats, lambda boat, t: boat == 1 or not 11.0 < t < 17.0)
     kept = len(ids_of(out, 0)) == 1 and ids_of(out, 0).isdisjoint(ids_of(out, 1))
     assert kept == on_board
@@ -305,7 +356,8 @@ def test_boxes_of_which_nobody_knows_where_the_vessel_was_are_followed_in_the_pi
     platform = Platform(
         Fixes(seconds, np.full(5, 54.0), np.full(5, 10.0)), Headings(seconds, np.zeros(5))
     )
-    tracker = WorldTracker(locate, platform=platform)
+    plane = LocalPlane(54.0, 10.0)
+    tracker = WorldTracker(lambda boxes: of_platform(boxes, platform, plane), platform=platform)
     out = run(tracker, np.arange(0.0, 15.0, 0.1), [lambda t: (2.0 * t, 100.0)])
     assert len(ids_of(out, 0)) == 1
     assert out[-1][0] > 14.0

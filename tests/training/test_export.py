@@ -20,7 +20,7 @@ from sightline.detection.classes import COCO
 from sightline.detection.decoders import Outputs, decoder_by_name
 from sightline.detection.metadata import KEY, read_metadata
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
-from sightline.detection.views import ViewSettings
+from sightline.detection.tiling import ViewSettings
 from sightline.errors import InputError
 from sightline.training import Trainable, build
 from sightline.training.architecture import InputFormat

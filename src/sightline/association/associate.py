@@ -10,8 +10,8 @@ import numpy as np
 from sightline.association.evidence import Match, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
 from sightline.association.search import Watch, candidates
+from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
-from sightline.inference.camera import Camera
 from sightline.types import BoolArray, FloatArray, IntArray
 
 LARGEST_OFFSET_S = 60.0

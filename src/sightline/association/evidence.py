@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from sightline.association.observations import Observations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
 from sightline.association.search import Watch, clutter_per_px2
-from sightline.inference.camera_fit import CameraPrior
+from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
 
 SURE = 0.5

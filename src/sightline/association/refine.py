@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.association.search import Candidate, Watch, clutter_per_px2
-from sightline.inference.camera import PARAMETERS, Camera, project_with_jacobian
-from sightline.inference.camera_fit import CameraPrior
+from sightline.camera.pinhole import PARAMETERS, Camera, project_with_jacobian
+from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
 
 _N = len(PARAMETERS)

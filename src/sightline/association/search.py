@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sightline.association.observations import Observations
-from sightline.association.paths import LoggedPath
-from sightline.inference.camera_fit import CameraPrior
+from sightline.camera.priors import CameraPrior
+from sightline.logged_path import LoggedPath
 from sightline.types import FloatArray, IntArray
 
 HEADING_STEP_DEG = 2.0
@@ -68,7 +68,7 @@ class Candidate:
     """A camera to start from.
 
     Attributes:
-        vector: (9,) as in `sightline.inference.camera.PARAMETERS`.
+        vector: (9,) as in `sightline.camera.pinhole.PARAMETERS`.
         offset_s: (R,) of each recording's clock: what is to be added to it. The recordings of a
             camera have a clock, so that they begin alike.
         votes: How many votes it has.

@@ -20,7 +20,7 @@ from sightline.errors import InputError, no_model_file, no_scene_file
 if TYPE_CHECKING:
     from sightline.evaluation.forecast import ForecastError
     from sightline.evaluation.report import Report
-    from sightline.pipeline import Progress as Tell
+    from sightline.progress import Progress as Tell
 
 
 class _Console(Console):

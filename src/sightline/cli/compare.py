@@ -41,10 +41,10 @@ def compare(
     keep_apart([map_file, report, json], [scene])
     check_scene_is_there(scene)
     from sightline.evaluation.comparison import overview_table, paper_table
-    from sightline.evaluation.page import write_page
-    from sightline.evaluation.plots import MapPanel, map_figure, save_figure
-    from sightline.pipeline import compare as compare_models
-    from sightline.reporting import compare_page, single_pairs
+    from sightline.pipeline.evaluate import compare as compare_models
+    from sightline.reporting.page import write_page
+    from sightline.reporting.plots import MapPanel, map_figure, save_figure
+    from sightline.reporting.run_report import compare_page, single_pairs
     from sightline.scene import Scene
 
     loaded = Scene.load(scene)

@@ -32,8 +32,8 @@ def demo(
     The camera is learned from the boxes and the log of two recordings; the third is given as a
     video alone, in which a detector has to find the boats.
     """
-    from sightline.pipeline import run as run_scene
-    from sightline.reporting import write_run
+    from sightline.pipeline.run import run as run_scene
+    from sightline.reporting.run_report import write_run
     from sightline.scene import Scene
     from sightline.simulation.simulate import simulate as simulate_harbour
 

@@ -65,10 +65,10 @@ def detect(
     check_model_is_there(model)
     from sightline import formats, video
     from sightline.detection import detect as detected
-    from sightline.detection import frame_count
-    from sightline.detection.looking import same_size
-    from sightline.inference.model_file import load_model
-    from sightline.pipeline.boxes import is_table, make_detector
+    from sightline.detection.run import same_size
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.sources import is_table, make_detector
+    from sightline.video.reader import frame_count
 
     if is_table(source):
         raise InputError(f"{source}: is a table; boxes are found in a video, frames or a stream")

@@ -65,8 +65,8 @@ def evaluate(
             raise InputError("a scene names its own logs; give --fixes with tracks only")
         check_scene_is_there(what)
         check_model_is_there(model)
-        from sightline.inference.model_file import load_model
-        from sightline.pipeline import evaluate as evaluate_any
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.evaluate import evaluate as evaluate_any
         from sightline.scene import Scene
 
         report = evaluate_any(
@@ -85,8 +85,8 @@ def evaluate(
         if fixes is None:
             raise InputError("tracks are scored against a log; give --fixes LOG")
         check_model_is_there(model)
-        from sightline.inference.model_file import load_model
-        from sightline.pipeline import evaluate as evaluate_any
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.evaluate import evaluate as evaluate_any
         from sightline.tracks import Tracks
 
         plane = load_model(model).plane if model is not None else None

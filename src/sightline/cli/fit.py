@@ -65,8 +65,8 @@ def fit(
     keep_apart([output, json], [scene, update])
     check_scene_is_there(scene)
     check_model_is_there(update)
-    from sightline.association import fit_scene, update_scene
-    from sightline.inference.model_file import load_model
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
     from sightline.scene import Scene
 
     with progress() as tell:

@@ -28,7 +28,7 @@ from sightline.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from sightline.pipeline import RunResult
+    from sightline.pipeline.run import RunResult
 
 
 def run(
@@ -46,9 +46,9 @@ def run(
     """The main job: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene])
     check_scene_is_there(scene)
-    from sightline.pipeline import TrackSettings
-    from sightline.pipeline import run as run_scene
-    from sightline.reporting import write_run
+    from sightline.pipeline.run import run as run_scene
+    from sightline.pipeline.track import TrackSettings
+    from sightline.reporting.run_report import write_run
     from sightline.scene import Scene
 
     loaded = Scene.load(scene)

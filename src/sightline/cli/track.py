@@ -102,8 +102,8 @@ def track(
     keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon, table])
     check_model_is_there(model)
     from sightline import formats
-    from sightline.inference.model_file import load_model
-    from sightline.pipeline import TrackSettings, iter_tracks
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.track import TrackSettings, iter_tracks
 
     fitted = load_model(model)
     if "://" not in source and not os.path.exists(source):

@@ -1,25 +1,17 @@
 """Stage 1: frames in, boxes out."""
 
-from sightline.detection.by_name import (
+from sightline.detection.detector import Detector
+from sightline.detection.metadata import LowerEdge
+from sightline.detection.motion import MotionDetector, MotionSettings
+from sightline.detection.onnx import DetectorOptions, OnnxDetector
+from sightline.detection.registry import (
     DEFAULT_DETECTOR,
     DETECTORS,
     check_detector_name,
     detector_by_name,
 )
-from sightline.detection.detector import Detector
-from sightline.detection.looking import (
-    Looker,
-    Progress,
-    SceneDetections,
-    detect,
-    frame_count,
-    lower_edges_of,
-    shown,
-)
-from sightline.detection.metadata import LowerEdge
-from sightline.detection.motion import MotionDetector, MotionSettings
-from sightline.detection.onnx import DetectorOptions, OnnxDetector
-from sightline.detection.views import VIEWS, View, ViewSettings
+from sightline.detection.run import Looker, detect, shown
+from sightline.detection.tiling import VIEWS, View, ViewSettings
 
 __all__ = [
     "DEFAULT_DETECTOR",
@@ -32,14 +24,10 @@ __all__ = [
     "MotionDetector",
     "MotionSettings",
     "OnnxDetector",
-    "Progress",
-    "SceneDetections",
     "View",
     "ViewSettings",
     "check_detector_name",
     "detect",
     "detector_by_name",
-    "frame_count",
-    "lower_edges_of",
     "shown",
 ]

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sightline.detection.views import ViewSettings
+from sightline.detection.tiling import ViewSettings
 from sightline.errors import InputError
 from sightline.types import FloatArray
 

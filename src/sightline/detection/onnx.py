@@ -12,25 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection import _onnxruntime
 from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
-from sightline.detection.horizon import HorizonFinder
 from sightline.detection.letterbox import Letterbox
-from sightline.detection.metadata import (
-    InputFormat,
-    LowerEdge,
-    read_metadata,
-    ultralytics_names,
-)
-from sightline.detection.views import (
-    Horizon,
-    View,
-    ViewSettings,
-    merge,
-    place,
-    plan_views,
-)
+from sightline.detection.metadata import InputFormat, LowerEdge, read_metadata, ultralytics_names
+from sightline.detection.tiling import Horizon, View, ViewSettings, merge, place, plan_views
 from sightline.errors import InputError, unknown_name
 from sightline.types import Boxes, FloatArray, Frame, IntArray
 

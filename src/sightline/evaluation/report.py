@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.evaluation.forecast import ForecastError
 from sightline.evaluation.metrics import (
@@ -30,7 +31,6 @@ from sightline.evaluation.metrics import (
     pair_track,
     relative_error,
 )
-from sightline.formats.atomic import atomic_path
 from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.types import Fixes, Positions, Track, rfc3339

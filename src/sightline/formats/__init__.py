@@ -14,10 +14,10 @@ from typing import Protocol, TypeVar
 
 import pandas as pd
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
 from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
-from sightline.formats.atomic import atomic_path
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
 from sightline.formats.control_points import read_control_points

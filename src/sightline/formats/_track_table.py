@@ -10,13 +10,7 @@ import pandas as pd
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.geodesy import LocalPlane
-from sightline.types import (
-    FloatArray,
-    PointKind,
-    Track,
-    ellipses,
-    from_datetime64,
-)
+from sightline.types import FloatArray, PointKind, Track, ellipses, from_datetime64
 
 KINDS = tuple(kind.name.lower() for kind in PointKind)
 """The word for each `PointKind`, by its value."""

@@ -13,9 +13,9 @@ from typing import TextIO
 import numpy as np
 import pandas as pd
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.atomic import atomic_path
 from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes, FloatArray
 
 _logger = logging.getLogger(__name__)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.atomic import atomic_path
 from sightline.types import Fixes
 
 _REQUIRED = ("time_utc", "latitude_deg", "longitude_deg")

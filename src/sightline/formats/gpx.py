@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 from gpxpy.gpxfield import gpx_fields_to_xml
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.atomic import atomic_path
 from sightline.types import Fixes, FloatArray, Track
 
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.atomic import atomic_path
 from sightline.formats.boxes_csv import boxes_of_rows, columns_of, targets
 from sightline.types import NO_FRAME, BoolArray, Boxes, FloatArray, IntArray
 

@@ -12,9 +12,9 @@ from typing import TextIO
 import numpy as np
 import pandas as pd
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.atomic import atomic_path
 from sightline.formats.boxes_csv import usable
 from sightline.types import NO_FRAME, NO_TRACK, Boxes
 

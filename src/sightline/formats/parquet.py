@@ -10,9 +10,9 @@ from typing import Any
 
 import pandas as pd
 
+from sightline._optional import module
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
-from sightline.formats._extras import module
 from sightline.types import Track
 
 

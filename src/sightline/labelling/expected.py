@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 
+from sightline.camera.pinhole import PARAMETERS, project_with_jacobian
 from sightline.errors import InputError
-from sightline.inference.camera import PARAMETERS, project_with_jacobian
-from sightline.inference.camera_model import CameraRegressor
-from sightline.inference.georeferencer import Georeferencer
-from sightline.inference.pairs import scene_pairs
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording, Scene
+from sightline.scene.correspondences import scene_pairs
 from sightline.synchronisation import LARGEST_GAP_S, Synchronised, synchronise
 from sightline.types import BoolArray, FloatArray
 
@@ -70,12 +70,12 @@ def camera_of(georeferencer: Georeferencer) -> CameraRegressor:
     Raises:
         InputError: It has none: the paper's models go from a box to a place, and not back.
     """
-    if not isinstance(georeferencer.regressor, CameraRegressor):
+    if georeferencer.calibrated is None:
         raise InputError(
             f"a {georeferencer.model} model cannot say where in the image a place lies; fit "
             "camera or camera+gpr"
         )
-    return georeferencer.regressor
+    return georeferencer.calibrated
 
 
 def learn_size(scene: Scene, georeferencer: Georeferencer) -> TargetSize:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sightline.errors import InputError
-from sightline.inference.georeferencer import Georeferencer
+from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.expected import Expected, TargetSize, expect, place_of
 from sightline.labelling.snapping import GATE, Background, Belief, Look, snap
-from sightline.scene import Recording, check_overlap
+from sightline.scene import Recording
+from sightline.synchronisation import check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, Frame, IntArray, StrArray
 
 SOURCE = "log"

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats.atomic import atomic_path
 from sightline.labelling.proposals import Proposals
 from sightline.scene import Recording
 from sightline.types import FloatArray

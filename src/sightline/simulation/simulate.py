@@ -19,19 +19,13 @@ import gpxpy.gpx
 import numpy as np
 from pyais import encode_dict
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError, unknown_name
-from sightline.formats.atomic import atomic_path
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.simulation.boats import Boat
 from sightline.simulation.camera import SimulatedCamera
-from sightline.simulation.harbour import (
-    DOCK,
-    START_UTC_S,
-    BoxNoise,
-    Harbour,
-    ReceiverNoise,
-)
+from sightline.simulation.harbour import DOCK, START_UTC_S, BoxNoise, Harbour, ReceiverNoise
 from sightline.simulation.platform import Knock, Warp
 from sightline.simulation.render import Look, Renderer
 from sightline.simulation.scenery import Image

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from sightline.association.paths import LoggedPath
 from sightline.geodesy import LocalPlane
+from sightline.logged_path import LoggedPath
 from sightline.simulation.camera import SimulatedCamera
 from sightline.types import NO_TRACK, BoolArray, Boxes, Fixes, FloatArray, IntArray
 

@@ -11,12 +11,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.tracking.plane import Columns
+from sightline.tracking.plane import Columns, Fields, white_acceleration
 from sightline.tracking.targets import TargetTracker, TrackerSettings
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 LARGEST_UNLIKE = 2.0 * float(np.log(3.0))
 """A box of three times the width and height is of something else."""
+
+IMAGE_STATE: Fields = [
+    ("centre", float, (2,)),
+    ("velocity", float, (2,)),
+    ("motion", float, (2, 2)),
+    ("log_size", float, (2,)),
+    ("shape_variance", float, ()),
+]
+IMAGE_MEASURED: Fields = [
+    ("centre", float, (2,)),
+    ("log_size", float, (2,)),
+    ("half_size", float, (2,)),
+    ("xyxy", float, (4,)),
+]
 
 
 @dataclass(frozen=True)
@@ -77,40 +91,40 @@ class ImagePlane:
 
     def measure(self, boxes: Boxes) -> Columns:
         """Centres, sizes and corners; see `Plane`."""
+        measured = np.zeros(len(boxes), dtype=IMAGE_MEASURED)
+        self.fill_measured(measured, boxes)
+        return measured
+
+    def fill_measured(self, measured: Columns, boxes: Boxes) -> None:
+        """Fill in the columns of `measure`, in a table that may have others."""
         xyxy = boxes.xyxy_px
-        return {
-            "centre": 0.5 * (xyxy[:, :2] + xyxy[:, 2:]),
-            "log_size": np.log(xyxy[:, 2:] - xyxy[:, :2]),
-            "xyxy": xyxy,
-        }
+        measured["xyxy"] = xyxy
+        measured["centre"] = 0.5 * (xyxy[:, :2] + xyxy[:, 2:])
+        measured["half_size"] = 0.5 * (xyxy[:, 2:] - xyxy[:, :2])
+        measured["log_size"] = np.log(xyxy[:, 2:] - xyxy[:, :2])
 
     def start(self, measured: Columns) -> Columns:
         """See `Plane`."""
-        n = len(measured["centre"])
-        area = np.exp(measured["log_size"].sum(axis=1))
-        motion = np.zeros((n, 2, 2))
-        motion[:, 0, 0] = self._settings.position_noise**2 * area
-        motion[:, 1, 1] = area
-        return {
-            "centre": measured["centre"],
-            "velocity": np.zeros((n, 2)),
-            "motion": motion,
-            "log_size": measured["log_size"],
-            "shape_variance": np.full(n, self._settings.size_noise**2),
-        }
+        state = np.zeros(len(measured), dtype=IMAGE_STATE)
+        self.fill_start(state, measured)
+        return state
 
-    def predict(self, state: Columns, lag_s: float) -> Columns:
+    def fill_start(self, state: Columns, measured: Columns) -> None:
+        """Fill in the columns of `start`, in a table of zeros that may have others."""
+        area = _area(measured["log_size"])
+        state["centre"] = measured["centre"]
+        state["motion"][:, 0, 0] = self._settings.position_noise**2 * area
+        state["motion"][:, 1, 1] = area
+        state["log_size"] = measured["log_size"]
+        state["shape_variance"] = self._settings.size_noise**2
+
+    def predict(self, state: Columns, lag_s: float) -> None:
         """Move on; the acceleration is white, in continuous time. See `Plane`."""
-        area = np.exp(state["log_size"].sum(axis=1))
-        power = self._settings.acceleration**2 * area
-        step = np.array([[1.0, lag_s], [0.0, 1.0]])
-        noise = np.array([[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]])
-        return {
-            **state,
-            "centre": state["centre"] + lag_s * state["velocity"],
-            "motion": step @ state["motion"] @ step.T + power[:, None, None] * noise,
-            "shape_variance": state["shape_variance"] + self._settings.growth**2 * lag_s,
-        }
+        power = self._settings.acceleration**2 * _area(state["log_size"])
+        step, noise = white_acceleration(lag_s)
+        state["centre"] += lag_s * state["velocity"]
+        state["motion"] = step @ state["motion"] @ step.T + power[:, None, None] * noise
+        state["shape_variance"] += self._settings.growth**2 * lag_s
 
     def candidates(
         self,
@@ -137,30 +151,33 @@ class ImagePlane:
     def nearness(self, state: Columns, measured: Columns) -> Nearness:
         """Pairs of T targets and N boxes within the gate of each other, or that may overlap."""
         spread = self._spread_px(state)
-        half = 0.5 * np.exp(state["log_size"])
-        half_box = 0.5 * np.exp(measured["log_size"])
+        centre, log_size = state["centre"], state["log_size"]
+        box_centre, half_box = measured["centre"], measured["half_size"]
+        half = 0.5 * np.exp(log_size)
         reach = self._settings.gate * spread
         # Of hundreds of boxes few are near in x: look at those alone.
-        order = np.argsort(measured["centre"][:, 0])
-        x = measured["centre"][order, 0]
         widest = np.maximum(reach, half[:, 0] + half_box[:, 0].max(initial=0.0))
-        first = np.searchsorted(x, state["centre"][:, 0] - widest, side="left")
-        count = np.searchsorted(x, state["centre"][:, 0] + widest, side="right") - first
-        i = np.repeat(np.arange(count.size), count)
-        j = order[np.arange(i.size) - np.repeat(np.cumsum(count) - count - first, count)]
-        apart = np.abs(state["centre"][i] - measured["centre"][j])
-        near = (apart <= np.maximum(reach[i, None], half[i] + half_box[j])).all(axis=1)
-        i, j, apart = i[near], j[near], apart[near]
-        low = np.maximum(state["centre"][i] - half[i], measured["xyxy"][j, :2])
-        high = np.minimum(state["centre"][i] + half[i], measured["xyxy"][j, 2:])
-        shared = np.maximum(high - low, 0.0).prod(axis=1)
-        area = 4.0 * half.prod(axis=1)[i] + 4.0 * half_box.prod(axis=1)[j]
+        apart_x = np.abs(centre[:, :1] - box_centre[:, 0])
+        i, j = np.nonzero(apart_x <= widest[:, None])
+        apart = np.abs(centre[i] - box_centre[j])
+        inside = apart <= np.maximum(reach[i, None], half[i] + half_box[j])
+        near = inside[:, 0] & inside[:, 1]
+        if not near.all():
+            i, j, apart = i[near], j[near], apart[near]
+        own, other = half[i], half_box[j]
+        middle, corners = centre[i], measured["xyxy"][j]
+        low = np.maximum(middle - own, corners[:, :2])
+        high = np.minimum(middle + own, corners[:, 2:])
+        side = np.maximum(high - low, 0.0)
+        shared = side[:, 0] * side[:, 1]
+        area = 4.0 * (own[:, 0] * own[:, 1] + other[:, 0] * other[:, 1])
+        unlike = np.abs(log_size[i] - measured["log_size"][j])
         return Nearness(
             target=i,
             box=j,
             distance=np.hypot(apart[:, 0], apart[:, 1]) / spread[i],
             overlap=shared / (area - shared),
-            unlike=np.abs(state["log_size"][i] - measured["log_size"][j]).sum(axis=1),
+            unlike=unlike[:, 0] + unlike[:, 1],
         )
 
     def update(
@@ -168,20 +185,18 @@ class ImagePlane:
         state: Columns,
         silent_s: FloatArray,  # noqa: ARG002 - the state knows how unsure it has become
         measured: Columns,
-    ) -> Columns:
+    ) -> None:
         """See `Plane`."""
         motion, shape = state["motion"], state["shape_variance"]
         gain = motion[:, :, 0] / self._spread_px(state)[:, None] ** 2
         innovation = measured["centre"] - state["centre"]
         shape_gain = shape / (shape + self._settings.size_noise**2)
         size_step = shape_gain[:, None] * (measured["log_size"] - state["log_size"])
-        return {
-            "centre": state["centre"] + gain[:, :1] * innovation,
-            "velocity": state["velocity"] + gain[:, 1:] * innovation,
-            "motion": motion - gain[:, :, None] * motion[:, None, 0, :],
-            "log_size": state["log_size"] + size_step,
-            "shape_variance": shape * (1.0 - shape_gain),
-        }
+        state["centre"] += gain[:, :1] * innovation
+        state["velocity"] += gain[:, 1:] * innovation
+        state["motion"] = motion - gain[:, :, None] * motion[:, None, 0, :]
+        state["log_size"] += size_step
+        state["shape_variance"] = shape * (1.0 - shape_gain)
 
     def continuations(
         self,
@@ -195,8 +210,13 @@ class ImagePlane:
 
     def _spread_px(self, state: Columns) -> FloatArray:
         """(N,) standard deviation of the next centre about the predicted one."""
-        noise = self._settings.position_noise**2 * np.exp(state["log_size"].sum(axis=1))
+        noise = self._settings.position_noise**2 * _area(state["log_size"])
         return np.asarray(np.sqrt(state["motion"][:, 0, 0] + noise))
+
+
+def _area(log_size: FloatArray) -> FloatArray:
+    """(N,) square pixels, of the logarithms of width and height (N, 2)."""
+    return np.asarray(np.exp(log_size[:, 0] + log_size[:, 1]))
 
 
 class ImageTracker(TargetTracker):

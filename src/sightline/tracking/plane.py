@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from sightline.types import BoolArray, Boxes, FloatArray, IntArray
+import numpy as np
+from numpy.typing import NDArray
 
-Columns = dict[str, FloatArray]
-"""Columns by name, a row a target or a box: what they are is the affair of the plane."""
+from sightline.types import Boxes, FloatArray, IntArray
+
+Columns = NDArray[np.void]
+"""Columns by name, a row a target or a box: what they are is the affair of the plane.
+
+A structured array, since rows are selected again and again: of all columns in one step.
+"""
+
+Fields = list[tuple[str, type, tuple[int, ...]]]
+"""Names, types and shapes of columns."""
 
 
 class Plane(Protocol):
     """A measurement model: the image, or the earth.
 
     States and measurements are tables whose columns only the plane knows. All are taken row by
-    row, so that any number of targets is one call.
+    row, so that any number of targets, or of boxes of whatever moments, is one call.
     """
 
     def measure(self, boxes: Boxes) -> Columns:
@@ -25,8 +34,8 @@ class Plane(Protocol):
         """States of N new targets, each from one box."""
         ...
 
-    def predict(self, state: Columns, lag_s: float) -> Columns:
-        """States some time later."""
+    def predict(self, state: Columns, lag_s: float) -> None:
+        """Move states on to some time later."""
         ...
 
     def candidates(
@@ -44,8 +53,8 @@ class Plane(Protocol):
         """
         ...
 
-    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> Columns:
-        """States of T targets that each have got the box in their row."""
+    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
+        """Change the states of T targets that each have got the box in their row."""
         ...
 
     def continuations(
@@ -64,6 +73,11 @@ class Plane(Protocol):
         ...
 
 
-def rows(table: Columns, chosen: IntArray | BoolArray) -> Columns:
-    """The rows of a table that an index array or a mask selects."""
-    return {name: column[chosen] for name, column in table.items()}
+def white_acceleration(lag_s: float) -> tuple[FloatArray, FloatArray]:
+    """Constant velocity along one axis: the transition of place and velocity, and its noise.
+
+    Returns:
+        (2, 2), and (2, 2) for a spectral density of 1.
+    """
+    square, cube = lag_s * lag_s / 2.0, lag_s**3 / 3.0
+    return np.array([[1.0, lag_s], [0.0, 1.0]]), np.array([[cube, square], [square, lag_s]])

@@ -7,6 +7,7 @@ one. All times are in seconds, so frames may come as they like.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.tracking.assignment import assign
-from sightline.tracking.plane import Columns, Plane, rows
+from sightline.tracking.plane import Columns, Plane
 from sightline.types import NO_TRACK, BoolArray, Boxes, FloatArray, IntArray
 
 _STATE_VERSION = 1
@@ -86,29 +87,65 @@ class TargetTracker:
         """Give the boxes of one moment their track ids; see `Tracker`."""
         if not len(boxes):
             return boxes
-        time_s = float(boxes.time_utc_s[0])
-        if not (boxes.time_utc_s == time_s).all():
+        if not (boxes.time_utc_s == boxes.time_utc_s[0]).all():
             raise InputError("a tracker takes the boxes of one known time; these have several")
-        if time_s <= self._time_s:
+        return self.follow(boxes)
+
+    def follow(self, boxes: Boxes) -> Boxes:
+        """Give the boxes of several moments their track ids: as `update`, moment by moment.
+
+        What boxes tell by themselves is measured of all of them at once.
+
+        Args:
+            boxes: In the order of time, all of them later than the boxes before; those of one
+                time are one moment.
+
+        Returns:
+            Those boxes that belong to a confirmed track, with its id, in the order given.
+
+        Raises:
+            InputError: Times are not known, or not in order.
+        """
+        if not len(boxes):
+            return boxes
+        times = boxes.time_utc_s
+        if times[0] <= self._time_s:
             raise InputError(
-                f"boxes come {self._time_s - time_s:g} s before those seen last; a tracker takes "
+                f"boxes come {self._time_s - times[0]:g} s before those seen last; a tracker takes "
                 "them in the order of time, and is reset between recordings"
             )
+        later = np.diff(times)
+        if not (np.isfinite(times[0]) and (later >= 0.0).all()):
+            raise InputError("a tracker takes boxes in the order of time; these are in no order")
+        measured = self._plane.measure(boxes)
+        ids = np.empty(len(boxes), dtype=np.int64)
+        cuts = [0, *(np.flatnonzero(later > 0.0) + 1).tolist(), len(boxes)]
+        for start, stop in itertools.pairwise(cuts):
+            moment = slice(start, stop)
+            ids[moment] = self._moment(
+                measured[moment], boxes.confidence[moment], float(times[start])
+            )
+        return boxes.with_columns(track_id=ids)[ids != NO_TRACK]
+
+    def _moment(self, measured: Columns, confidence: FloatArray, time_s: float) -> IntArray:
+        """(N,) the track ids of the boxes of one moment, `NO_TRACK` where there is none."""
         self._keep(~self._gone(time_s))
         self._before_s = self._time_s
         if self._state is not None and len(self):
-            self._state = self._plane.predict(self._state, time_s - self._time_s)
+            self._plane.predict(self._state, time_s - self._time_s)
         self._time_s = time_s
-        measured = self._plane.measure(boxes)
-        owner = self._assign(measured, boxes.confidence)
+        owner = self._assign(measured, confidence)
         self._take(owner, measured, time_s)
-        self._begin(owner, measured, boxes.confidence, time_s)
+        self._begin(owner, measured, confidence, time_s)
         joined = self._confirm(time_s)
-        ids = np.where(owner >= 0, self._track_id[owner], NO_TRACK) if len(self) else owner
-        kept = np.ones(len(self), dtype=bool)
-        kept[joined] = False
-        self._keep(kept)
-        return boxes.with_columns(track_id=ids)[ids != NO_TRACK]
+        if not len(self):
+            return owner
+        ids = np.where(owner >= 0, self._track_id[owner], NO_TRACK)
+        if joined.size:
+            kept = np.ones(len(self), dtype=bool)
+            kept[joined] = False
+            self._keep(kept)
+        return ids
 
     def state(self) -> dict[str, Any]:
         """All that the tracker knows, as JSON can hold it; see `restore`."""
@@ -120,7 +157,9 @@ class TargetTracker:
             "first_utc_s": self._first_s.tolist(),
             "last_utc_s": self._last_s.tolist(),
             "track_id": self._track_id.tolist(),
-            "targets": {name: column.tolist() for name, column in (self._state or {}).items()},
+            "targets": {}
+            if self._state is None
+            else {name: self._state[name].tolist() for name in self._state.dtype.names or ()},
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -145,22 +184,20 @@ class TargetTracker:
             )
             ids = np.array(state["track_id"], dtype=np.int64)
             n = ids.size
-            columns = {
-                name: np.array(state["targets"][name], dtype=np.float64).reshape(
-                    (n, *column.shape[1:])
-                )
-                for name, column in (template.items() if n else ())
-            }
+            columns = np.zeros(n, dtype=template.dtype)
+            for name in (template.dtype.names or ()) if n else ():
+                told = np.array(state["targets"][name], dtype=np.float64)
+                columns[name] = told.reshape(columns[name].shape)
         except (LookupError, TypeError, ValueError, OverflowError) as error:
             raise InputError(
                 f"the state of a tracker is damaged, or of a tracker in another plane ({error!r}); "
                 "begin without one"
             ) from error
-        finite = [*first, *last, *(value for column in columns.values() for value in column.flat)]
+        parts = (first, last, *(columns[name] for name in template.dtype.names or ()))
         if (
             first.shape != (n,)
             or last.shape != (n,)
-            or not np.isfinite(finite).all()
+            or not all(np.isfinite(part).all() for part in parts)
             or next_id <= int(ids.max(initial=0))
             or np.isnan(times).any()
         ):
@@ -171,7 +208,7 @@ class TargetTracker:
         self._next_id = next_id
         self._time_s, self._before_s = times
         self._first_s, self._last_s, self._track_id = first, last, ids
-        self._state = columns or None
+        self._state = columns if n else None
 
     def _gone(self, time_s: float) -> BoolArray:
         silent_s = time_s - self._last_s
@@ -189,7 +226,7 @@ class TargetTracker:
         self._first_s, self._last_s = self._first_s[kept], self._last_s[kept]
         self._track_id = self._track_id[kept]
         if self._state is not None:
-            self._state = rows(self._state, kept)
+            self._state = self._state[kept]
 
     def _assign(self, measured: Columns, confidence: FloatArray) -> IntArray:
         """(N,) row of the target of each box, -1 where there is none."""
@@ -217,7 +254,7 @@ class TargetTracker:
             if not targets.size or not boxes.size:
                 continue
             i, j, cost = self._plane.candidates(
-                rows(self._state, targets), silent_s[targets], rows(measured, boxes)
+                self._state[targets], silent_s[targets], measured[boxes]
             )
             i, j = assign(i, j, cost, (targets.size, boxes.size))
             owner[boxes[j]] = targets[i]
@@ -230,9 +267,9 @@ class TargetTracker:
             return
         targets = owner[boxes]
         silent_s = time_s - self._last_s[targets]
-        updated = self._plane.update(rows(self._state, targets), silent_s, rows(measured, boxes))
-        for name, column in updated.items():
-            self._state[name][targets] = column
+        updated = self._state[targets]
+        self._plane.update(updated, silent_s, measured[boxes])
+        self._state[targets] = updated
         self._last_s[targets] = time_s
 
     def _begin(
@@ -243,13 +280,9 @@ class TargetTracker:
         if not new.size:
             return
         owner[new] = len(self) + np.arange(new.size)
-        begun = self._plane.start(rows(measured, new))
-        if self._state is None or not len(self):
-            self._state = {name: np.array(column) for name, column in begun.items()}
-        else:
-            self._state = {
-                name: np.concatenate([self._state[name], column]) for name, column in begun.items()
-            }
+        begun = self._plane.start(measured[new])
+        first = self._state is None or not len(self)
+        self._state = begun if first else np.concatenate([self._state, begun])
         self._first_s = np.append(self._first_s, np.full(new.size, time_s))
         self._last_s = np.append(self._last_s, np.full(new.size, time_s))
         self._track_id = np.append(self._track_id, np.full(new.size, NO_TRACK, dtype=np.int64))
@@ -268,9 +301,7 @@ class TargetTracker:
         lost = np.flatnonzero((self._track_id != NO_TRACK) & (self._last_s < time_s))
         if lost.size:
             silent_s = time_s - self._last_s[lost]
-            i, j, cost = self._plane.continuations(
-                rows(self._state, lost), silent_s, rows(self._state, new)
-            )
+            i, j, cost = self._plane.continuations(self._state[lost], silent_s, self._state[new])
             # Nothing goes on as something that was there beside it.
             after = self._last_s[lost[i]] < self._first_s[new[j]]
             i, j = assign(i[after], j[after], cost[after], (lost.size, new.size))

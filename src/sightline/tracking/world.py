@@ -20,17 +20,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.platform import Platform, on_earth
-from sightline.tracking.image import ImagePlane, ImageTrackerSettings
-from sightline.tracking.plane import Columns
+from sightline.platform import Platform
+from sightline.tracking.image import (
+    IMAGE_MEASURED,
+    IMAGE_STATE,
+    ImagePlane,
+    ImageTrackerSettings,
+)
+from sightline.tracking.plane import Columns, Fields, white_acceleration
 from sightline.tracking.targets import TargetTracker
 from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions
 
 Locate = Callable[[Boxes], Positions]
-"""Where boxes lie, as `Georeferencer.locate` says it."""
+"""Where boxes lie on the earth, as `Georeferencer.locate` says it."""
 
 _NEAREST_M = 1.0
 _OWN_SHARE = 0.05
+
+_STATE: Fields = [
+    *IMAGE_STATE,
+    ("place", float, (4,)),
+    ("doubt", float, (4, 4)),
+    ("placed", float, ()),
+]
+_MEASURED: Fields = [
+    *IMAGE_MEASURED,
+    ("placed", float, ()),
+    ("en", float, (2,)),
+    ("eye", float, (2,)),
+    ("own", float, (2, 2)),
+    ("sight", float, (2,)),
+    ("noise", float, (2, 2)),
+]
 
 
 @dataclass(frozen=True)
@@ -94,7 +115,6 @@ class WorldPlane:
         eye = np.zeros((len(boxes), 2))
         if self._platform is not None:
             pose = self._platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
-            positions = on_earth(positions, pose)
             eye = np.nan_to_num(pose.en_m)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)
@@ -104,41 +124,38 @@ class WorldPlane:
         own = positions.covariance_m2 - (1.0 - _OWN_SHARE) * positions.shared_covariance_m2
         own = np.where(known[:, None, None], own, np.eye(2))
         sight, jacobian = _sight(en - eye)
-        noise = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
-        return {
-            **self._image.measure(boxes),
-            "placed": known.astype(np.float64),
-            "en": en,
-            "eye": eye,
-            "own": own,
-            "sight": sight,
-            "noise": noise,
-        }
+        measured = np.zeros(len(boxes), dtype=_MEASURED)
+        self._image.fill_measured(measured, boxes)
+        measured["placed"] = known
+        measured["en"], measured["eye"], measured["own"] = en, eye, own
+        measured["sight"] = sight
+        measured["noise"] = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
+        return measured
 
     def start(self, measured: Columns) -> Columns:
         """See `Plane`."""
-        n = len(measured["placed"])
-        doubt = np.zeros((n, 4, 4))
-        doubt[:, :2, :2] = measured["own"]
-        doubt[:, 2:, 2:] = self._settings.speed_mps**2 * np.eye(2)
-        return {
-            **self._image.start(measured),
-            "place": np.concatenate([measured["en"], np.zeros((n, 2))], axis=1),
-            "doubt": doubt,
-            "placed": measured["placed"],
-        }
+        state = np.zeros(len(measured), dtype=_STATE)
+        self._image.fill_start(state, measured)
+        self._fill_start(state, measured)
+        return state
 
-    def predict(self, state: Columns, lag_s: float) -> Columns:
+    def _fill_start(self, state: Columns, measured: Columns) -> None:
+        """Fill in what `start` has beside the image."""
+        state["place"][:, :2] = measured["en"]
+        state["place"][:, 2:] = 0.0
+        state["doubt"] = 0.0
+        doubt = state["doubt"]
+        doubt[:, :2, :2] = measured["own"]
+        doubt[:, 2, 2] = doubt[:, 3, 3] = self._settings.speed_mps**2
+        state["placed"] = measured["placed"]
+
+    def predict(self, state: Columns, lag_s: float) -> None:
         """See `Plane`."""
-        step = np.eye(4)
-        step[0, 2] = step[1, 3] = lag_s
-        noise = np.kron([[lag_s**3 / 3.0, lag_s**2 / 2.0], [lag_s**2 / 2.0, lag_s]], np.eye(2))
-        return {
-            **self._image.predict(state, lag_s),
-            "place": state["place"] @ step.T,
-            "doubt": step @ state["doubt"] @ step.T + self._settings.acceleration_m2ps3 * noise,
-            "placed": state["placed"],
-        }
+        self._image.predict(state, lag_s)
+        step, noise = (_on_both_axes(part) for part in white_acceleration(lag_s))
+        noise *= self._settings.acceleration_m2ps3
+        state["place"] = state["place"] @ step.T
+        state["doubt"] = step @ state["doubt"] @ step.T + noise
 
     def candidates(
         self, state: Columns, silent_s: FloatArray, measured: Columns
@@ -164,35 +181,38 @@ class WorldPlane:
         off = _off(measured["sight"][j], expected[i])
         return np.sqrt(_squared(off, spread[i] + measured["noise"][j]))
 
-    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> Columns:
+    def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
         """See `Plane`."""
-        image = self._image.update(state, silent_s, measured)
+        self._image.update(state, silent_s, measured)
         had, has = state["placed"] > 0.0, measured["placed"] > 0.0
+        both = had & has
+        if both.all():
+            self._update_places(state, silent_s, measured)
+            return
+        old, new = np.flatnonzero(both), np.flatnonzero(~had & has)
+        if old.size:
+            part = state[old]
+            self._update_places(part, silent_s[old], measured[old])
+            state[old] = part
+        if new.size:
+            # One that had no position yet begins with this one.
+            part = state[new]
+            self._fill_start(part, measured[new])
+            state[new] = part
+
+    def _update_places(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
+        """Correct the places of targets that have one by those of their boxes."""
         place, doubt = state["place"], state["doubt"]
         expected, jacobian = _sight(place[:, :2] - measured["eye"])
-        design = np.zeros((len(had), 2, 4))
-        design[:, :, :2] = jacobian
-        cross = doubt @ np.swapaxes(design, 1, 2)
+        cross = doubt[:, :, :2] @ jacobian.transpose(0, 2, 1)
         # Errors that last make boxes that follow each other closely one box.
         repeated = np.maximum(1.0, 2.0 * self._settings.lasting_s / np.maximum(silent_s, 1e-3))
         noise = measured["noise"] * repeated[:, None, None]
-        gain = cross @ _inverse(design @ cross + noise)
+        gain = cross @ _inverse(jacobian @ cross[:, :2] + noise)
         off = _off(measured["sight"], expected)
-        both = (had & has)[:, None]
-        moved = place + np.einsum("nij,nj->ni", gain, off)
-        left = doubt - gain @ np.swapaxes(cross, 1, 2)
-        left = 0.5 * (left + np.swapaxes(left, 1, 2))
-        # One that had no position yet begins with this one.
-        new = self.start(measured)
-        first = (~had & has)[:, None]
-        return {
-            **image,
-            "place": np.where(both, moved, np.where(first, new["place"], place)),
-            "doubt": np.where(
-                both[:, :, None], left, np.where(first[:, :, None], new["doubt"], doubt)
-            ),
-            "placed": np.maximum(state["placed"], measured["placed"]),
-        }
+        state["place"] = place + (gain @ off[:, :, None])[:, :, 0]
+        left = doubt - gain @ cross.transpose(0, 2, 1)
+        state["doubt"] = 0.5 * (left + left.transpose(0, 2, 1))
 
     def continuations(
         self,
@@ -202,6 +222,8 @@ class WorldPlane:
     ) -> tuple[IntArray, IntArray, FloatArray]:
         """See `Plane`: place and velocity together."""
         i, j = np.nonzero((ended["placed"][:, None] > 0.0) & (begun["placed"][None, :] > 0.0))
+        if not i.size:
+            return i, j, np.empty(0)
         unlike = np.abs(ended["log_size"][i] - begun["log_size"][j]).sum(axis=1)
         off = begun["place"][j] - ended["place"][i]
         spread = ended["doubt"][i] + begun["doubt"][j]
@@ -259,7 +281,9 @@ class WorldTracker(TargetTracker):
 
         `sightline.trajectory.forecast.MotionState.of_moments` moves them all on at once.
         """
-        state = self._state or self._plane.start(self._plane.measure(Boxes.of([])))
+        state = self._state
+        if state is None:
+            state = self._plane.start(self._plane.measure(Boxes.of([])))
         chosen = (self._track_id != NO_TRACK) & (state["placed"] > 0.0)
         return Estimates(
             time_utc_s=self._time_s,
@@ -285,6 +309,13 @@ def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     squared, cubed = range_m**2, range_m**3
     derivative = np.stack([north / squared, -east / squared, -east / cubed, -north / cubed], axis=1)
     return sight, derivative.reshape(-1, 2, 2)
+
+
+def _on_both_axes(matrix: FloatArray) -> FloatArray:
+    """(2, 2) of place and velocity along one axis, for both axes: (4, 4)."""
+    out = np.zeros((4, 4))
+    out[::2, ::2] = out[1::2, 1::2] = matrix
+    return out
 
 
 def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:

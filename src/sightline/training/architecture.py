@@ -8,8 +8,8 @@ from importlib import import_module
 from inspect import Parameter, signature
 from typing import TYPE_CHECKING, Any, Protocol
 
+from sightline import _optional
 from sightline.errors import unknown_name
-from sightline.formats import _extras
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -196,7 +196,7 @@ def build(name: str, class_names: Sequence[str], **options: Any) -> Trainable:
     """
     if name not in _MODULES:
         raise unknown_name("architecture", name, ARCHITECTURES)
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     make: Callable[..., Trainable] = import_module(_MODULES[name]).build
     known = [
         parameter.name

@@ -16,8 +16,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from sightline import _optional
 from sightline.errors import InputError
-from sightline.formats import _extras
 from sightline.training.architecture import Target
 from sightline.training.data import Image, Picture, Sprite
 from sightline.training.wash import Hull, draw_wash, hull_of, inner
@@ -151,7 +151,7 @@ class Batches:
         share = synthetic_share if self._real else 1.0
         self._synthetic_share = share if self._rendered else 0.0
         self._smallest = smallest_px
-        self._varied = _composition(_extras.module("albumentations", "train"), augmentation)
+        self._varied = _composition(_optional.module("albumentations", "train"), augmentation)
 
     def __call__(self, number: int) -> tuple[torch.Tensor, list[Target]]:
         """A batch: (B, 3, H, W) float32, 0 to 1, and what is in each picture."""
@@ -412,7 +412,7 @@ class Batches:
 
     def _rotated(self, image: Image, boxes: _Boxes, angle_deg: float) -> tuple[Image, _Boxes]:
         width, height = self._size
-        albumentations = _extras.module("albumentations", "train")
+        albumentations = _optional.module("albumentations", "train")
         turn = albumentations.Compose(
             [
                 albumentations.Rotate(

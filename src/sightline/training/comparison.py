@@ -22,21 +22,16 @@ from typing import Any
 import torch
 from matplotlib.figure import Figure
 
+from sightline.atomic import atomic_path
 from sightline.detection import _onnxruntime
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.errors import InputError, SightlineError, unknown_name
 from sightline.evaluation.comparison import number
-from sightline.evaluation.detection import (
-    DetectionReport,
-    detect_labelled,
-    pooled,
-    scene_labels,
-    score_detections,
-)
+from sightline.evaluation.detection import DetectionReport, pooled, score_detections
 from sightline.evaluation.report import write_json
-from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels
 from sightline.scene import Recording, Scene
+from sightline.scene.labelled_frames import detect_labelled, scene_labels
 from sightline.training.architecture import ARCHITECTURES, build
 from sightline.training.augmentation import Augmentation
 from sightline.training.loop import find_device, versions

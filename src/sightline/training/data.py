@@ -16,13 +16,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.formats.boxes_csv import usable
-from sightline.formats.labels import (
-    EMPTY_TABLE,
-    Margin,
-    empty_frames,
-    parse_margins,
-    tables_folder,
-)
+from sightline.formats.labels import EMPTY_TABLE, Margin, empty_frames, parse_margins, tables_folder
 from sightline.scene import Recording, Scene
 from sightline.simulation import Harbour, Renderer
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from sightline import _optional
 from sightline.errors import InputError, unknown_name
-from sightline.formats import _extras
 from sightline.training.architecture import ExportInfo, InputFormat, Prediction, Target
 from sightline.training.darknet.loss import inside
 from sightline.training.pretrained import load_matching, read_state
@@ -64,7 +64,7 @@ class EfficientDetDetector:
                 f"{name}: anchors of {anchor_scale:g} strides cannot be; published are "
                 f"{ANCHOR_SCALE:g}"
             )
-        effdet = _extras.module("effdet", "train")
+        effdet = _optional.module("effdet", "train")
         config = effdet.get_efficientdet_config(_MODEL)
         config.num_classes = len(class_names)
         config.anchor_scale = float(anchor_scale)
@@ -103,7 +103,7 @@ class EfficientDetDetector:
 
     def predict(self, images: Tensor, threshold: float) -> list[Prediction]:
         """What is in a batch; see `Trainable`."""
-        bench = _extras.module("effdet.anchors", "train")
+        bench = _optional.module("effdet.anchors", "train")
         logits, offsets = _flat(*self.module(images))
         anchors = self._labeller(images).anchors.boxes
         boxes = torch.stack(
@@ -130,7 +130,7 @@ class EfficientDetDetector:
                 f"multiples of {_STRIDE}"
             )
         if (height, width) not in self._labellers:
-            parts = _extras.module("effdet.anchors", "train")
+            parts = _optional.module("effdet.anchors", "train")
             config = self._config
             anchors = parts.Anchors(
                 config.min_level,

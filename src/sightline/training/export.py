@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from sightline import _optional
+from sightline.atomic import atomic_path
 from sightline.detection import _onnxruntime
 from sightline.errors import SightlineError
-from sightline.formats import _extras
-from sightline.formats.atomic import atomic_path
 from sightline.training.architecture import ExportInfo, Trainable
 
 OPSET = 17
@@ -75,7 +75,7 @@ def export_onnx(
         ExportError: It was more than `TOLERANCE`.
         InputError: The file cannot be written.
     """
-    onnx = _extras.module("onnx", "train")
+    onnx = _optional.module("onnx", "train")
     trainable.module.to("cpu").eval()
     module, info = trainable.export_module()
     module.eval()

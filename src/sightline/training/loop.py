@@ -26,8 +26,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats.atomic import atomic_path
 from sightline.overlap import giou, iou
 from sightline.training.architecture import Target, Trainable
 from sightline.training.data import Picture

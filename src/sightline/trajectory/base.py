@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.types import BoolArray, FloatArray, IntArray, PointKind, Positions, Track
+from sightline.types import BoolArray, EastNorthPositions, FloatArray, IntArray, PointKind, Track
 
 SAME_TIME_S = 1e-6
 """Times closer than this are one time: stored POSIX seconds are good to a quarter of it."""
@@ -21,7 +21,7 @@ class TrajectoryMethod(Protocol):
     def apply(
         self,
         time_utc_s: FloatArray,
-        positions: Positions,
+        positions: EastNorthPositions,
         *,
         confidence: FloatArray | None = None,
         at_utc_s: FloatArray | None = None,
@@ -89,7 +89,7 @@ _LEAST_OWN_SHARE = 0.05
 
 def measurements(
     time_utc_s: FloatArray,
-    positions: Positions,
+    positions: EastNorthPositions,
     confidence: FloatArray | None,
     at_utc_s: FloatArray | None,
     track_id: int,

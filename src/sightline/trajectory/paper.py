@@ -16,7 +16,7 @@ from scipy.interpolate import make_interp_spline
 
 from sightline.errors import InputError
 from sightline.trajectory.base import Measurements, distinct, measurements, point_kinds
-from sightline.types import BoolArray, FloatArray, Positions, Track
+from sightline.types import BoolArray, EastNorthPositions, FloatArray, Track
 
 _RAYLEIGH_MEDIAN = np.sqrt(2.0 * np.log(2.0))
 _UNKNOWN_SPEED_MPS = 10.0
@@ -51,7 +51,7 @@ class PaperChain:
     def apply(
         self,
         time_utc_s: FloatArray,
-        positions: Positions,
+        positions: EastNorthPositions,
         *,
         confidence: FloatArray | None = None,
         at_utc_s: FloatArray | None = None,

@@ -34,14 +34,10 @@ from scipy.special import chdtri
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
-from sightline.trajectory import chain
+from sightline.trajectory import gauss_markov_chain as chain
 from sightline.trajectory.base import Measurements, measurements, point_kinds
-from sightline.trajectory.sight import (
-    Linearised,
-    NoiseAtRange,
-    RobustStart,
-)
-from sightline.types import BoolArray, FloatArray, Positions, Track
+from sightline.trajectory.range_noise import Linearised, NoiseAtRange, RobustStart
+from sightline.types import BoolArray, EastNorthPositions, FloatArray, Track
 
 _AGILITY_WIDTH_S = 3.0
 _AGILITY_GRID_S = 0.5
@@ -196,7 +192,7 @@ class RtsSmoother:
     def apply(
         self,
         time_utc_s: FloatArray,
-        positions: Positions,
+        positions: EastNorthPositions,
         *,
         confidence: FloatArray | None = None,
         at_utc_s: FloatArray | None = None,
@@ -208,7 +204,7 @@ class RtsSmoother:
         return self._smooth(measured, positions).at(at, track_id=track_id, label=label)
 
     def smooth(
-        self, time_utc_s: FloatArray, positions: Positions, *, track_id: int = 0
+        self, time_utc_s: FloatArray, positions: EastNorthPositions, *, track_id: int = 0
     ) -> SmoothedTrack:
         """The smoothed target, to be asked for any time.
 
@@ -223,7 +219,7 @@ class RtsSmoother:
         measured, _ = measurements(time_utc_s, positions, None, None, track_id)
         return self._smooth(measured, positions)
 
-    def _smooth(self, measured: Measurements, positions: Positions) -> SmoothedTrack:
+    def _smooth(self, measured: Measurements, positions: EastNorthPositions) -> SmoothedTrack:
         epoch = float(measured.time_utc_s[0])
         time = measured.time_utc_s - epoch
         noise_at_range = NoiseAtRange.of(measured)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from sightline import video
 from sightline.clock import Clock
 from sightline.errors import InputError
 from sightline.types import FloatArray, Frame
@@ -286,3 +287,13 @@ def _broken(name: str, index: int, reason: str | None) -> InputError:
         f"{name}: breaks off after {index} frames ({reason or 'it cannot be decoded'}); "
         "the file is damaged or cut short"
     )
+
+
+def frame_count(source: str | os.PathLike[str]) -> int | None:
+    """How many frames a source has; None for a stream."""
+    path = Path(source)
+    if path.is_dir():
+        return sum(1 for _ in path.iterdir())
+    if "://" in str(source) or not path.is_file():
+        return None
+    return len(video.video_info(path).presentation_s)

@@ -10,8 +10,8 @@ from fractions import Fraction
 import av
 import numpy as np
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats.atomic import atomic_path
 from sightline.types import Frame
 
 # Each codec with the finest time base that it takes: MPEG-4 part 2 has 16 bits for it.

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from sightline import _optional
 from sightline.cli.common import (
     keep_apart,
     progress,
@@ -88,9 +89,7 @@ def compare(
     json: JsonOption = None,
 ) -> None:
     """Train detectors alike and measure them on recordings that none has seen."""
-    from sightline.formats import _extras
-
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     from sightline.scene import Scene
     from sightline.training.augmentation import Augmentation
     from sightline.training.comparison import (

@@ -94,15 +94,14 @@ def evaluate(
     check_model_is_there(model)
     from sightline.detection import OnnxDetector
     from sightline.evaluation.detection import (
-        detect_labelled,
         pooled,
-        scene_labels,
         score_detections,
     )
     from sightline.formats.labels import parse_margins
-    from sightline.inference.model_file import load_model
-    from sightline.pipeline.boxes import make_detector
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.sources import make_detector
     from sightline.scene import Scene
+    from sightline.scene.labelled_frames import detect_labelled, scene_labels
 
     loaded = Scene.load(scene)
     if recordings is not None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline import _optional
 from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.defaults import PUBLISHED
 from sightline.cli.options import JsonOption
@@ -68,9 +69,7 @@ def export(
     json: JsonOption = None,
 ) -> None:
     """Write a detector as an ONNX file, and check that file against the network."""
-    from sightline.formats import _extras
-
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     from sightline.training.export import export_onnx
     from sightline.training.trained import load_darknet, load_mean
 

@@ -62,7 +62,7 @@ def label(
     check_scene_is_there(scene)
     check_model_is_there(model)
     from sightline.formats.labels import Labels, write_labels
-    from sightline.inference.model_file import load_model
+    from sightline.georeferencing.georeferencer import load_model
     from sightline.labelling import contact_sheets, learn_size, propose
     from sightline.scene import Scene
 
@@ -128,7 +128,7 @@ def _write_frames(made: list[Proposals], path: Path) -> None:
     """Every frame that was looked at, and why it has no box."""
     import numpy as np
 
-    from sightline.formats.atomic import atomic_path
+    from sightline.atomic import atomic_path
 
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")

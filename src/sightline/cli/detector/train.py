@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from sightline import _optional
 from sightline.cli.common import (
     keep_apart,
     progress,
@@ -126,9 +127,7 @@ def train(
     """Train a detector on the boxes of a scene, and export it to ONNX."""
     if arch not in ARCHITECTURES:
         raise unknown_name("architecture", arch, ARCHITECTURES)
-    from sightline.formats import _extras
-
-    _extras.module("torch", "train")
+    _optional.module("torch", "train")
     from sightline.scene import Scene
     from sightline.training.augmentation import Augmentation
     from sightline.training.data import Labels, parse_margins

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats.atomic import atomic_path
 from sightline.training.darknet.cfg import Convolutional, Network
 
 Floats = NDArray[np.float32]

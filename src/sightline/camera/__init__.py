@@ -1,0 +1,1 @@
+"""One camera: its projection, its calibration, and how it points over time."""

@@ -1,0 +1,772 @@
+"""The unknown camera, fitted to pixels whose place on the earth is known.
+
+Maximum a posteriori estimate of the camera of `sightline.camera.pinhole`, together with the size
+of the target's hull, whose near side a box ends at, and a bias of the lower edge for each source
+of boxes. Residuals are pixels, because that is where the noise
+is: of the row and the column of a box's foot, each with a part that is constant in pixels and a
+part that is constant in metres at the target (a drawn waterline is wrong by a share of the hull, a
+log by metres), both estimated from the residuals. Large residuals count less (Huber). Priors on
+height, focal length, roll and distortion hold what thin data leaves open, and the posterior says
+which those were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import least_squares, minimize
+
+from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
+from sightline.camera.observations import NO_SOURCE, Sightings, _check_enough
+from sightline.camera.pinhole import PARAMETERS, Camera, project_with_jacobian
+from sightline.camera.priors import (
+    _NOISE_CENTRE,
+    _NOISE_WIDTH,
+    ANY_ASPECT,
+    FIRST_SOURCE,
+    SOURCE_PARAMETERS,
+    CameraPrior,
+    PixelNoise,
+    SourceBelief,
+)
+from sightline.errors import FitError
+from sightline.types import BoolArray, FloatArray, IntArray
+
+_N = len(PARAMETERS)
+_HUBER = 2.0
+_OUTLIER = 4.0
+# A start first sees the data through noise so many times wider, under which the posterior is
+# smooth and no residual is large enough to be cut off.
+_WIDE = 20.0
+_KNOWN_AT = 0.7
+# Below this a target's course says little about where its bow points.
+_UNDER_WAY_MPS = 0.5
+_ROUNDS = 4
+# Of a standard deviation: a step so small ends the search.
+_ENOUGH = 0.01
+_MOST_STEPS = 30
+# Ends as near as this to one another, as a share of a belief's width, are one.
+_SAME_END = 0.05
+# Standard deviations of a belief by which scatter of the log may pull at most.
+_MOST_PULLED = 2.0
+# A receiver stands somewhere on its boat.
+_MIDDLE_SIGMA_M = 1.0
+# A hull's beam over its length, and by what share of itself a length read off boxes may be wrong:
+# off tight boxes of rendered hulls it comes out 4 to 11 % too short, and people leave margins.
+_BEAM_SHARE = 0.35
+_SIZE_SHARE = 0.25
+
+
+_BEHIND = (
+    "no camera explains the boxes and fixes: from every start the targets lay behind the camera; "
+    "check the camera's position, the clock and the log"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFit:
+    """A fitted camera, and how well it is known.
+
+    Attributes:
+        vector: (11 + 2 S + G,) float64, the camera's parameter vector, then `TARGET_PARAMETERS`,
+            then `SOURCE_PARAMETERS` of each source, then how many seconds the clock of each
+            recording is to be moved on to agree with the log.
+        covariance: Square, of ``vector``.
+        prior_sigma: (11 + 2 S + G,) float64, infinite where there was no prior.
+        clock_groups: (G,) int64, the recordings whose clocks were estimated.
+        noise: Of a box's foot.
+        image_size_px: Width and height.
+        residual_px: (N, 2) float64, observed minus projected.
+        standard_residual: (N,) float64, the residual over its standard deviation, root mean square
+            of column and row.
+        leverage: (N,) float64, how much of the fit hangs on this sighting; they add up to the
+            number of parameters that the data determined.
+        outlier: (N,) bool, residuals beyond four standard deviations.
+        starts_agreeing: How many starts ended at this camera.
+        starts: How many there were.
+        typical_range_m: Median distance of the sightings from the camera.
+    """
+
+    vector: FloatArray
+    covariance: FloatArray
+    prior_sigma: FloatArray
+    clock_groups: IntArray
+    noise: PixelNoise
+    image_size_px: tuple[int, int]
+    residual_px: FloatArray
+    standard_residual: FloatArray
+    leverage: FloatArray
+    outlier: BoolArray
+    starts_agreeing: int
+    starts: int
+    typical_range_m: float
+
+    @property
+    def camera(self) -> Camera:
+        """The camera itself."""
+        return Camera.from_vector(self.vector[:_N], self.image_size_px)
+
+    @property
+    def clock_offset_s(self) -> FloatArray:
+        """(G,) seconds that each recording's clock is to be moved on."""
+        return self.vector[self.vector.size - self.clock_groups.size :]
+
+    @property
+    def clock_sigma_s(self) -> float:
+        """Standard deviation of a clock that was not seen yet, seconds; 0 where none was."""
+        count = self.clock_groups.size
+        if count == 0:
+            return 0.0
+        own = np.diag(self.covariance)[-count:]
+        prior = self.prior_sigma[-1] ** 2
+        # The prior weighs as much as half a recording.
+        return float(np.sqrt((0.5 * prior + np.sum(self.clock_offset_s**2 + own)) / (0.5 + count)))
+
+    def determined(self) -> BoolArray:
+        """(9,) bool: whether data, and not the prior, says what each of `PARAMETERS` is.
+
+        A parameter counts as determined where its standard deviation is less than 0.7 of what it
+        was before any data: an angle without a prior where it is known to 10 degrees, a position
+        where it is known to within a quarter of the camera's distance to what it saw.
+        """
+        sigma = np.sqrt(np.diag(self.covariance)[:_N])
+        prior = self.prior_sigma[:_N].copy()
+        prior[3] = np.radians(10.0) / _KNOWN_AT
+        prior[np.isinf(prior)] = 0.25 * self.typical_range_m / _KNOWN_AT
+        return np.asarray(sigma < _KNOWN_AT * prior)
+
+    def target_determined(self) -> BoolArray:
+        """(2,) bool: the same of each of `TARGET_PARAMETERS`."""
+        own = slice(_N, FIRST_SOURCE)
+        sigma = np.sqrt(np.diag(self.covariance)[own])
+        return np.asarray(sigma < _KNOWN_AT * self.prior_sigma[own])
+
+
+def fit_camera(
+    sightings: Sightings,
+    image_size_px: tuple[int, int],
+    *,
+    n_sources: int,
+    prior: CameraPrior | None = None,
+    beliefs: Mapping[int, SourceBelief] | None = None,
+    noise: PixelNoise | None = None,
+    position_known: bool = True,
+    heaving: bool = False,
+    starts: int = 8,
+    seed: int = 0,
+) -> CameraFit:
+    """Fit the camera and the sources' biases to sightings.
+
+    Args:
+        sightings: At least three, not all in one place.
+        image_size_px: Width and height.
+        n_sources: How many sources of boxes there are.
+        prior: Beliefs about the camera; absent: those of an ordinary camera.
+        beliefs: About single sources, where more is known of them than the prior says.
+        noise: Noise of a foot, taken as known; absent: estimated from the residuals.
+        position_known: Whether the origin of the plane is where the camera is said to stand.
+        heaving: Whether the camera is on a vessel, whose heave is to be told from the log's errors.
+        starts: How many random starting cameras, the first at the prior's mean.
+        seed: Of the random starts.
+
+    Raises:
+        FitError: Too few sightings, all in one place, or no start that puts them before the camera.
+    """
+    _check_enough(sightings)
+    prior = prior or CameraPrior()
+    chosen = thinned(sightings.time_s, sightings.log)
+    everything = _Problem(
+        sightings, image_size_px, n_sources, prior, position_known, beliefs, heaving
+    )
+    problem = everything
+    if chosen.size < len(sightings):
+        problem = _Problem(
+            sightings[chosen], image_size_px, n_sources, prior, position_known, beliefs, heaving
+        )
+    found: list[tuple[float, FloatArray]] = []
+    assumed = noise or PixelNoise()
+    for start in problem.starts(max(starts, 1), np.random.default_rng(seed)):
+        solution = problem.solve(start, assumed.scaled(_WIDE), evaluations=50)
+        if solution is not None:
+            solution = problem.solve(solution[1], assumed, evaluations=50)
+        if solution is not None:
+            found.append(solution)
+    if not found:
+        raise FitError(_BEHIND)
+    found.sort(key=lambda pair: pair[0])
+    if everything.heaving and noise is None:
+        assumed = replace(assumed, heave_m=_NOISE_CENTRE[-1])
+    estimated, best = assumed, None
+    start = np.append(found[0][1], 0.0)
+    for _ in range(1 if noise is not None else _ROUNDS):
+        problem.expect_hull(start)
+        best = problem.refine(start, estimated)
+        if best is None:
+            break
+        start = best.vector
+        if noise is None:
+            estimated = problem.estimate_noise(best, estimated)
+    best = problem.refine(start, estimated)
+    if best is None:
+        raise FitError(_BEHIND)
+    best.vector[3] = np.mod(best.vector[3], 2.0 * np.pi)
+    # The noise came from the best start; under it the others go on from where they are.
+    ends = [best.vector]
+    for _, vector in found[1:]:
+        if np.all(np.abs(vector - found[0][1]) < _SAME_END * problem.scale):
+            ends.append(best.vector)
+            continue
+        nearer = problem.solve(vector, estimated, evaluations=100)
+        end = problem.refine(np.append(nearer[1], 0.0), estimated) if nearer else None
+        if end is not None:
+            ends.append(end.vector)
+    fit = problem.summarise(best, estimated, ends, max(starts, 1))
+    return fit if problem is everything else everything.with_all(fit, chosen)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A maximum of the posterior.
+
+    Attributes:
+        vector: Parameters, with how far the middle of a box lies ahead of the receiver.
+        drift_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
+        weight: (N, 2) how much each column and row counts, 0 to 1.
+        standard: (N, 2) residuals without what lasts, over their standard deviations.
+    """
+
+    vector: FloatArray
+    drift_m: FloatArray
+    weight: FloatArray
+    standard: FloatArray
+
+
+class _Problem:
+    """Residuals and derivatives of one fit.
+
+    Vectors are those of `CameraFit`, or these followed by what is known of the places: how far
+    the middle of a box lies ahead of the receiver, and the values of the logs' drift.
+    """
+
+    def __init__(
+        self,
+        sightings: Sightings,
+        image_size_px: tuple[int, int],
+        n_sources: int,
+        prior: CameraPrior,
+        position_known: bool,
+        beliefs: Mapping[int, SourceBelief] | None,
+        heaving: bool = False,
+    ) -> None:
+        self.sightings = sightings
+        self.image_size_px = image_size_px
+        self.n_sources = n_sources
+        self.first_clock = FIRST_SOURCE + len(SOURCE_PARAMETERS) * n_sources
+        self.prior = prior
+        self.position_known = position_known
+        moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
+        self.clock_groups = np.unique(sightings.group[moving])
+        self.clock = np.searchsorted(self.clock_groups, sightings.group)
+        self.moving = np.flatnonzero(moving)
+        self.mean, self.sigma = prior.moments(
+            image_size_px, n_sources, self.clock_groups.size, position_known=position_known
+        )
+        for source, belief in (beliefs or {}).items():
+            at = FIRST_SOURCE + len(SOURCE_PARAMETERS) * source
+            own = np.array([belief.bias_px, belief.bias_m])
+            self.mean[at : at + 2], self.sigma[at : at + 2] = own.T
+        self.held = np.isfinite(self.sigma)
+        self.size = self.mean.size
+        self.timed = np.isfinite(sightings.time_s)
+        self.blocks = blocks_of(sightings.time_s, sightings.log)
+        # Without times heave is as any other noise of the rows.
+        self.heaving = heaving and bool(self.blocks)
+        speed = np.hypot(*sightings.velocity_mps.T)
+        steered = (sightings.source != NO_SOURCE) & (speed > _UNDER_WAY_MPS)
+        self.bow = np.where(
+            steered[:, None], sightings.velocity_mps / np.maximum(speed, 1e-9)[:, None], 0.0
+        )
+        self.boxes = sightings.source != NO_SOURCE
+        self.centre = np.array([np.mean(sightings.east_m), np.mean(sightings.north_m)])
+        self.spread = float(
+            np.hypot(
+                np.std(sightings.east_m - self.centre[0]),
+                np.std(sightings.north_m - self.centre[1]),
+            )
+        )
+        self.scale = np.where(self.held, self.sigma, 1.0)
+        self.scale[3] = 0.3
+        if not position_known:
+            self.scale[7:9] = self.spread
+
+    def starts(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
+        """Cameras to start from: the prior's mean, then draws about it, all facing the targets."""
+        out = []
+        for i in range(count):
+            vector = self.mean.copy()
+            if i or not self.position_known:
+                vector[0] += rng.normal(0.0, 0.5)
+                vector[1] += rng.normal(0.0, np.radians(8.0))
+                vector[4] += rng.normal(0.0, 0.3)
+            if not self.position_known:
+                angle = 2.0 * np.pi * (i + rng.uniform()) / count
+                distance = self.spread * np.exp(rng.uniform(0.0, 1.6))
+                vector[7] = self.centre[0] + distance * np.sin(angle)
+                vector[8] = self.centre[1] + distance * np.cos(angle)
+            bearing = np.arctan2(
+                self.sightings.east_m - vector[7], self.sightings.north_m - vector[8]
+            )
+            across = np.arctan(
+                (self.sightings.pixel_px[:, 0] - 0.5 * self.image_size_px[0]) / np.exp(vector[4])
+            )
+            turn = bearing - across
+            vector[3] = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            out.append(vector)
+        return out
+
+    def aspect(self, vector: FloatArray) -> FloatArray:
+        """(N, 2) how much of the half length and of the half beam points to the camera."""
+        s = self.sightings
+        east, north = s.east_m - vector[7], s.north_m - vector[8]
+        speed = np.hypot(*s.velocity_mps.T)
+        size = np.maximum(speed * np.hypot(east, north), 1e-9)
+        cosine = (s.velocity_mps[:, 0] * east + s.velocity_mps[:, 1] * north) / size
+        out: FloatArray = np.stack([np.abs(cosine), np.sqrt(np.maximum(1.0 - cosine**2, 0.0))], 1)
+        out[speed < _UNDER_WAY_MPS] = ANY_ASPECT
+        out[~self.boxes] = 0.0
+        return out
+
+    def expect_hull(self, vector: FloatArray) -> None:
+        """Let the boxes' widths say what hull to expect, of a target of common proportions."""
+        s = self.sightings
+        rows = np.flatnonzero(np.isfinite(s.width_px))
+        if rows.size < 3:
+            return
+        aspect = self.aspect(vector)[rows]
+        apparent = self.apparent(vector)[rows]
+        seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
+        half = float(np.median(s.width_px[rows] / apparent / seen))
+        self.mean[_N:FIRST_SOURCE] = half, _BEAM_SHARE * half
+        self.sigma[_N:FIRST_SOURCE] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
+
+    def project(
+        self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Expected pixels (N, 2), their derivatives by parameters and by the place.
+
+        The place may be moved by a shift, (N, 2) metres.
+        """
+        s = self.sightings
+        bias = vector[FIRST_SOURCE : self.first_clock].reshape(-1, 2)
+        source = np.where(self.boxes, s.source, 0)
+        above = s.above_m
+        if self.n_sources:
+            above = above + np.where(self.boxes, bias[source, 1], 0.0)
+        east, north = self.place(vector)
+        if shift_m is not None:
+            east, north = east + shift_m[:, 0], north + shift_m[:, 1]
+        # The foot of a box lies on the near side of the target.
+        east_off, north_off = east - vector[7], north - vector[8]
+        distance = np.hypot(east_off, north_off)
+        sine, cosine = east_off / distance, north_off / distance
+        hull = aspect @ vector[_N:FIRST_SOURCE]
+        pixel, by_parameter, by_foot = project_with_jacobian(
+            vector[:_N], self.image_size_px, east - hull * sine, north - hull * cosine, above
+        )
+        by_point = by_foot.copy()
+        across = by_foot[:, :, 0] * cosine[:, None] - by_foot[:, :, 1] * sine[:, None]
+        across *= (hull / distance)[:, None]
+        by_point[:, :, 0] -= across * cosine[:, None]
+        by_point[:, :, 1] += across * sine[:, None]
+        jacobian = np.zeros((len(s), 2, vector.size))
+        if vector.size > self.size:
+            jacobian[:, :, self.size] = np.einsum("nij,nj->ni", by_point[:, :, :2], self.bow)
+        jacobian[:, :, :_N] = by_parameter
+        jacobian[:, :, 7:9] = -by_point[:, :, :2]
+        inwards = by_foot[:, :, 0] * sine[:, None] + by_foot[:, :, 1] * cosine[:, None]
+        jacobian[:, :, _N:FIRST_SOURCE] = -inwards[:, :, None] * aspect[:, None, :]
+        rows = np.flatnonzero(self.boxes)
+        if self.n_sources:
+            pixel[rows, 1] += bias[source[rows], 0]
+            at = FIRST_SOURCE + 2 * source[rows]
+            jacobian[rows, 1, at] = 1.0
+            jacobian[rows[:, None], [[0, 1]], (at + 1)[:, None]] = by_point[rows, :, 2]
+        rows = self.moving
+        jacobian[rows, :, self.first_clock + self.clock[rows]] = np.einsum(
+            "nij,nj->ni", by_point[rows, :, :2], s.velocity_mps[rows]
+        )
+        return pixel, jacobian, by_point
+
+    def place(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where the targets were, (N,) east and north, by clocks and logs that were put right."""
+        s = self.sightings
+        place = np.stack([s.east_m, s.north_m])
+        if self.moving.size:
+            offset = np.zeros(len(s))
+            offset[self.moving] = vector[self.first_clock + self.clock[self.moving]]
+            place += offset * s.velocity_mps.T
+        if vector.size > self.size:
+            place += vector[self.size] * self.bow.T
+        return place[0], place[1]
+
+    def apparent(self, vector: FloatArray) -> FloatArray:
+        """(N,) how large a metre at the box looks, pixels; zero for control points."""
+        s = self.sightings
+        slant = np.hypot(
+            np.hypot(s.east_m - vector[7], s.north_m - vector[8]), np.exp(vector[0]) - s.above_m
+        )
+        return np.where(self.boxes, np.exp(vector[4]) / slant, 0.0)
+
+    def pixel_variance(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
+        """(N, 2) variances of column and row without the place's, square pixels.
+
+        A control point has the pixel part of a box's noise.
+        """
+        own = replace(noise, heave_m=0.0) if self.heaving else noise
+        return np.stack(own.variances_px2(self.apparent(vector) ** 2), axis=1)
+
+    def place_sigma(self, noise: PixelNoise) -> FloatArray:
+        """(N,) standard deviations of the places, metres; a control point has its own."""
+        return np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
+
+    def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
+        """(N, 2) standard deviations of column and row, pixels, but for what lasts."""
+        by_place = self.project(vector, self.aspect(vector))[2][:, :, :2]
+        place = (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
+        return np.asarray(np.sqrt(self.pixel_variance(vector, noise) + place))
+
+    def beliefs(self, size: int) -> tuple[FloatArray, FloatArray]:
+        """Means of a vector of a size, and the matrix that makes its deviations standard normal."""
+        held = np.flatnonzero(self.held)
+        out = np.zeros((held.size + size - self.size, size))
+        out[np.arange(held.size), held] = 1.0 / self.sigma[held]
+        if size > self.size:
+            out[held.size, self.size] = 1.0 / _MIDDLE_SIGMA_M
+        return np.concatenate([self.mean, np.zeros(size - self.size)]), out
+
+    def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
+        """The nearest maximum of the posterior by the whole noise, the lasting error of logs too.
+
+        Gauss-Newton steps on whitened residuals. The lasting error, like that of single places, is
+        not left in the residual: derivatives are those at the likeliest places, since a fit that
+        charged all of it to the pixels would find a camera in which metres look too small (errors
+        in variables). Boxes that are off by much count less (Huber).
+
+        Returns:
+            None where it ends behind the targets.
+        """
+        vector, aspect = start.copy(), self.aspect(start)
+        mean, beliefs = self.beliefs(vector.size)
+        precision = beliefs.T @ beliefs
+        place_variance = (self.place_sigma(noise) ** 2)[:, None]
+        # Without times the scatter of single places cannot be told from the target's path: see
+        # `summarise`.
+        latent = np.where(self.timed[:, None], place_variance, 0.0)
+        shift = np.zeros((len(self.sightings), 2))
+        weight = np.ones((len(self.sightings), 2))
+        for _ in range(_MOST_STEPS):
+            pixel, jacobian, by_point = self.project(vector, aspect, shift)
+            if not (np.isfinite(pixel).all() and np.isfinite(jacobian).all()):
+                return None
+            by_place = by_point[:, :, :2]
+            residual = self.sightings.pixel_px - pixel + np.einsum("nij,nj->ni", by_place, shift)
+            variance = self.pixel_variance(vector, noise)
+            variance += place_variance * np.sum(by_place**2, axis=2)
+            whitening = Whitening(
+                self.blocks,
+                variance / weight,
+                by_place,
+                noise.drift_m,
+                noise.drift_s,
+                by_point[:, :, 2],
+                noise.heave_m,
+            )
+            both = whitening.forward(np.concatenate([jacobian, residual[:, :, None]], axis=2))
+            flat = both.reshape(-1, vector.size + 1)
+            normal = flat[:, :-1].T @ flat[:, :-1] + precision
+            slope = flat[:, :-1].T @ flat[:, -1] - precision @ (vector - mean)
+            factor = cho_factor(normal, lower=True, check_finite=False)
+            step = cho_solve(factor, slope, check_finite=False)
+            covariance = cho_solve(factor, np.eye(vector.size), check_finite=False)
+            step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
+            left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
+            pull = whitening.backward(left)[:, :, 0]
+            drift = whitening.drift(pull)
+            shift = drift + latent * np.einsum("nij,ni->nj", by_place, pull)
+            standard = pull * np.sqrt(variance) / weight
+            weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
+            vector = vector + step
+            if (np.abs(step) < _ENOUGH * np.sqrt(np.diag(covariance))).all():
+                break
+        if not self._ahead(vector):
+            return None
+        return _Refined(vector, drift, weight, standard)
+
+    def reach(self, size: int) -> FloatArray:
+        """(size,) the longest step in each parameter."""
+        return np.concatenate([self.scale, np.full(size - self.size, _MIDDLE_SIGMA_M)])
+
+    def solve(
+        self, start: FloatArray, noise: PixelNoise, evaluations: int
+    ) -> tuple[float, FloatArray] | None:
+        """The nearest minimum of the posterior: its cost and place, or None if none was found."""
+        sigma, aspect = self.sigmas(start, noise), self.aspect(start)
+        mean, beliefs = self.beliefs(start.size)
+        scale = np.concatenate([self.scale, np.ones(start.size - self.size)])
+        last: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+
+        def evaluate(vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            # The optimiser asks for residuals and for derivatives one after the other.
+            if not last or not np.array_equal(last[0][0], vector):
+                pixel, jacobian, _ = self.project(vector, aspect)
+                raw = ((self.sightings.pixel_px - pixel) / sigma).ravel()
+                size_of = np.abs(raw)
+                tail = size_of > _HUBER
+                root = np.sqrt(np.where(tail, 2.0 * _HUBER * size_of - _HUBER**2, 1.0))
+                residual = np.where(tail, np.sign(raw) * root, raw)
+                slope = np.where(tail, _HUBER / root, 1.0)
+                by_parameter = -(jacobian / sigma[:, :, None]).reshape(raw.size, -1)
+                last[:] = [
+                    (
+                        vector.copy(),
+                        np.concatenate([residual, beliefs @ (vector - mean)]),
+                        np.concatenate([by_parameter * slope[:, None], beliefs]),
+                    )
+                ]
+            return last[0]
+
+        if not np.isfinite(evaluate(start)[1]).all():
+            return None
+
+        def residuals(vector: FloatArray) -> FloatArray:
+            return evaluate(vector)[1]
+
+        def derivatives(vector: FloatArray) -> FloatArray:
+            return evaluate(vector)[2]
+
+        solution = least_squares(
+            residuals,
+            start,
+            jac=derivatives,
+            x_scale=scale,
+            max_nfev=evaluations,
+            xtol=1e-9,
+            ftol=1e-9,
+            gtol=1e-9,
+        )
+        return (float(solution.cost), solution.x) if self._ahead(solution.x) else None
+
+    def _ahead(self, vector: FloatArray) -> bool:
+        """Whether most sightings lie before the camera."""
+        s = self.sightings
+        forward = np.sin(vector[3]) * (s.east_m - vector[7]) + np.cos(vector[3]) * (
+            s.north_m - vector[8]
+        )
+        return bool(np.mean(forward > 0.0) > 0.5)
+
+    def linearise(self, found: _Refined) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Residuals (N, 2), derivatives by parameters and by points, where the log is put right.
+
+        What that took from the residuals is put back to first order. Only what lasts is put right:
+        boxes that two people drew at one moment show one place. With derivatives at two places, a
+        log that is off by very much would seem to explain how the boxes differ.
+        """
+        aspect = self.aspect(found.vector)
+        pixel, jacobian, by_point = self.project(found.vector, aspect, found.drift_m)
+        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.drift_m)
+        return self.sightings.pixel_px - pixel + put_back, jacobian, by_point
+
+    def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
+        """The noise under which the residuals are likeliest, with a weak prior on each part.
+
+        The likelihood is that of the residuals with the parameters integrated out, linearised
+        where they are (restricted maximum likelihood).
+        """
+        residual, jacobian, by_point = self.linearise(found)
+        by_place = by_point[:, :, :2]
+        n, size = len(self.sightings), found.vector.size
+        mean, beliefs = self.beliefs(size)
+        precision, off = beliefs.T @ beliefs, found.vector - mean
+        per_metre = np.sum(by_place**2, axis=2)
+        known = (self.sightings.sigma_m**2)[:, None] * per_metre
+        # Variances are these times the squares of the first four of `PixelNoise`.
+        parts = np.zeros((4, n, 2))
+        parts[0, :, 1] = 1.0
+        parts[1, :, 1] = self.apparent(found.vector) ** 2
+        parts[2, :, 0] = 1.0
+        parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
+        count = 7 if self.heaving else 6 if self.blocks else 4
+        centre, width = np.log(_NOISE_CENTRE[:count]), np.array(_NOISE_WIDTH[:count])
+        columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
+
+        def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
+            drift_m, drift_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
+            heave_m = float(np.exp(t[6])) if count > 6 else 0.0
+            variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
+            whitening = Whitening(
+                self.blocks, variance, by_place, drift_m, drift_s, by_point[:, :, 2], heave_m
+            )
+            both = whitening.forward(columns)
+            flat = both.reshape(-1, size + 1)
+            factor = cho_factor(
+                flat[:, :-1].T @ flat[:, :-1] + precision, lower=True, check_finite=False
+            )
+            slope = flat[:, :-1].T @ flat[:, -1] - precision @ off
+            step = cho_solve(factor, slope, check_finite=False)
+            value = 0.5 * float(flat[:, -1] @ flat[:, -1] + off @ precision @ off - slope @ step)
+            value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
+            solved = whitening.backward(both)
+            covariance = cho_solve(factor, np.eye(size), check_finite=False)
+            by_variance, *by_lasting = whitening.slopes(
+                solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance, drift_s
+            )
+            by_part = np.tensordot(parts, by_variance / found.weight, 2)
+            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_lasting])[:count]
+            belief = (t - centre) / width
+            return value + 0.5 * float(belief @ belief), slopes + belief / width
+
+        at = np.log([getattr(before, column.name) for column in fields(before)][:count])
+        best = minimize(
+            negative_log,
+            at,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=list(zip(centre - 4.0 * width, centre + 4.0 * width, strict=True)),
+            options={"maxiter": 25, "ftol": 1e-6},
+        )
+        estimated = PixelNoise(*np.exp(best.x).tolist())
+        # Where no two fixes are near in time nobody can tell what lasts.
+        return estimated if self.blocks else replace(estimated, drift_m=0.0)
+
+    def summarise(
+        self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
+    ) -> CameraFit:
+        """The fit with its uncertainty, from the best camera and where the starts ended."""
+        residual, jacobian, by_point = self.linearise(found)
+        by_place = by_point[:, :, :2]
+        variance = self.pixel_variance(found.vector, noise)
+        variance += (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
+        # Errors of one recording are alike, so that it tells less than its number of boxes.
+        shares = [self._shared_error(found.standard[:, axis]) for axis in (0, 1)]
+        crowding = np.stack([self._crowding(share) for share in shares], axis=1)
+        whitening = Whitening(
+            self.blocks,
+            variance * crowding / found.weight,
+            by_place,
+            noise.drift_m,
+            noise.drift_s,
+            by_point[:, :, 2],
+            noise.heave_m,
+        )
+        scaled = whitening.forward(jacobian).reshape(-1, found.vector.size)
+        _, beliefs = self.beliefs(found.vector.size)
+        whole: FloatArray = np.linalg.pinv(
+            scaled.T @ scaled + beliefs.T @ beliefs, hermitian=True
+        ).astype(np.float64)
+        leverage = np.einsum("nj,jk,nk->n", scaled, whole, scaled).reshape(-1, 2).sum(axis=1)
+        # Beliefs bound how far it goes.
+        pulled = whole @ self._attenuation(found.vector, noise, variance * crowding / found.weight)
+        limit = np.append(_MOST_PULLED * self.sigma, np.inf)
+        pulled *= min(1.0, float(np.min(limit / np.maximum(np.abs(pulled), 1e-12))))
+        whole = whole + np.outer(pulled, pulled)
+        vector, covariance = found.vector[: self.size], whole[: self.size, : self.size]
+        return CameraFit(
+            vector=vector,
+            covariance=covariance,
+            prior_sigma=self.sigma,
+            clock_groups=self.clock_groups,
+            noise=replace(noise, middle_m=float(abs(found.vector[self.size]))),
+            image_size_px=self.image_size_px,
+            residual_px=residual,
+            standard_residual=np.sqrt(np.mean(found.standard**2, axis=1)),
+            leverage=leverage,
+            outlier=np.asarray(np.abs(found.standard).max(axis=1) > _OUTLIER),
+            starts_agreeing=sum(self._same(end, vector, covariance) for end in ends),
+            starts=starts,
+            typical_range_m=float(
+                np.median(
+                    np.hypot(self.sightings.east_m - vector[7], self.sightings.north_m - vector[8])
+                )
+            ),
+        )
+
+    def with_all(self, fit: CameraFit, chosen: IntArray) -> CameraFit:
+        """A fit to some sightings as one to all: the others are compared with it."""
+        pixel, _, by_point = self.project(fit.vector, self.aspect(fit.vector))
+        per_metre = np.sum(by_point[:, :, :2] ** 2, axis=2)
+        sigma = np.hypot(self.sigmas(fit.vector, fit.noise), fit.noise.drift_m * np.sqrt(per_metre))
+        residual = self.sightings.pixel_px - pixel
+        standard = residual / sigma
+        residual[chosen] = fit.residual_px
+        leverage = np.zeros(len(self.sightings))
+        leverage[chosen] = fit.leverage
+        outlier = np.abs(standard).max(axis=1) > _OUTLIER
+        outlier[chosen] = fit.outlier
+        size = np.sqrt(np.mean(standard**2, axis=1))
+        size[chosen] = fit.standard_residual
+        return replace(
+            fit, residual_px=residual, standard_residual=size, leverage=leverage, outlier=outlier
+        )
+
+    def _attenuation(
+        self, vector: FloatArray, noise: PixelNoise, variance_px2: FloatArray
+    ) -> FloatArray:
+        """(P,) how scatter of places that was charged to the pixels pulls at the parameters.
+
+        It makes metres look small: the slope of its expected part of the cost. Where the data hold
+        the camera it hardly moves it; where they do not, this is how far off the estimate may be.
+        """
+        rows = self.boxes & ~self.timed
+        out = np.zeros(vector.size)
+        if not rows.any():
+            return out
+        aspect = self.aspect(vector)
+        weight = (0.5 * noise.place_m**2 / variance_px2)[rows]
+        for i in range(_N):
+            apart = 1e-4 * self.scale[i]
+            squares = []
+            for side in (-1.0, 1.0):
+                moved = vector.copy()
+                moved[i] += side * apart
+                by_point = self.project(moved, aspect)[2][rows]
+                squares.append(np.sum(by_point[:, :, :2] ** 2, axis=2))
+            out[i] = np.sum(weight * (squares[1] - squares[0])) / (2.0 * apart)
+        return out
+
+    @staticmethod
+    def _same(one: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
+        """Whether two cameras differ by less than a standard deviation in every parameter."""
+        difference = one[:_N] - other[:_N]
+        difference[3] = np.arctan2(np.sin(difference[3]), np.cos(difference[3]))
+        return bool(np.all(np.abs(difference) < np.sqrt(np.diag(covariance)[:_N])))
+
+    def _shared_error(self, standard: FloatArray) -> float:
+        """The correlation of errors within a recording, 0 to 1 (one-way analysis of variance)."""
+        group = self.sightings.group
+        names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
+        if names.size < 2 or names.size == group.size:
+            return 0.0
+        clipped = np.clip(standard, -_OUTLIER, _OUTLIER)
+        means = np.bincount(inverse, clipped) / count
+        between = np.sum(count * (means - clipped.mean()) ** 2) / (names.size - 1)
+        within = np.sum((clipped - means[inverse]) ** 2) / (group.size - names.size)
+        typical = (group.size - np.sum(count**2) / group.size) / (names.size - 1)
+        shared = (between - within) / typical
+        return float(np.clip(shared / max(shared + within, 1e-12), 0.0, 1.0))
+
+    def _crowding(self, share: float) -> FloatArray:
+        """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share.
+
+        Boxes of one moment, drawn by one and found by another, are of one place, and count as one.
+        """
+        s = self.sightings
+        _, inverse, count = np.unique(s.group, return_inverse=True, return_counts=True)
+        timed = np.flatnonzero(self.timed)
+        moment = np.stack([s.log[timed].astype(float), s.time_s[timed]], axis=1)
+        _, at, alike = np.unique(moment, axis=0, return_inverse=True, return_counts=True)
+        of_moment = np.ones(len(s))
+        of_moment[timed] = alike[at.ravel()]
+        return np.asarray((1.0 + (count[inverse] - 1.0) * share) * of_moment)

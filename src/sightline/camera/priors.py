@@ -1,0 +1,208 @@
+"""Priors of a camera, its target and its sources of boxes, and the noise of a foot point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sightline.camera.pinhole import PARAMETERS
+from sightline.types import FloatArray
+
+TARGET_PARAMETERS = ("half_length_m", "half_beam_m")
+
+
+"""What is unknown of the target: how far its hull reaches from where its log says that it is.
+
+A box ends where the near side of the hull meets the water. From ahead or astern that is half a
+length nearer than the receiver, from abeam half a beam.
+"""
+
+
+ANY_ASPECT = 2.0 / np.pi
+
+
+"""The mean of ``|cos|`` and of ``|sin|`` of the aspect, for a target that may head anywhere."""
+
+
+SOURCE_PARAMETERS = ("bias_px", "bias_m")
+
+
+"""What is unknown of each source of boxes: see `SourceBias`."""
+
+
+_N = len(PARAMETERS)
+
+
+FIRST_SOURCE = _N + len(TARGET_PARAMETERS)
+
+
+"""Where a fit's vector has the parameters of the first source."""
+
+
+# Medians of the parts of `PixelNoise` before any data, and standard deviations of their logarithms.
+_NOISE_CENTRE = (1.0, 0.15, 2.0, 0.7, 1.0, 20.0, 0.15)
+
+
+_NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class CameraPrior:
+    """What is believed of a camera before any data, as means and standard deviations.
+
+    Attributes:
+        height_m: Median; ``height_log_sigma`` is the standard deviation of its logarithm.
+        height_log_sigma: See ``height_m``.
+        pitch_deg: Mean and standard deviation.
+        roll_deg: Mean and standard deviation.
+        focal_widths: Median focal length in image widths.
+        focal_log_sigma: Standard deviation of the logarithm of the focal length.
+        k1_sigma: About zero.
+        k2_sigma: About zero.
+        half_length_m: Mean and standard deviation; of the target.
+        half_beam_m: Mean and standard deviation; of the target.
+        position_sigma_m: Of the camera about the place that the scene states.
+        bias_px: Mean of each source's lower edge, pixels; negative where boxes end too high.
+        bias_px_sigma: Its standard deviation.
+        bias_m_sigma: Of each source's lower edge, metres of height at the target.
+        unseen_px: The mean of a source that was not learned from, pixels. It has a mean of its own
+            where the sources learned from are of another kind: detectors, and people who draw.
+        unseen_m: The same in metres of height at the target.
+        clock_sigma_s: Of each recording's clock against the log: logs and clocks often keep whole
+            seconds.
+    """
+
+    height_m: float = 5.0
+    height_log_sigma: float = 0.7
+    pitch_deg: tuple[float, float] = (5.0, 15.0)
+    roll_deg: tuple[float, float] = (0.0, 3.0)
+    focal_widths: float = 0.8
+    focal_log_sigma: float = 0.3
+    k1_sigma: float = 0.15
+    k2_sigma: float = 0.1
+    half_length_m: tuple[float, float] = (0.0, 2.0)
+    half_beam_m: tuple[float, float] = (0.0, 1.0)
+    position_sigma_m: float = 3.0
+    bias_px: float = 0.0
+    bias_px_sigma: float = 2.0
+    bias_m_sigma: float = 0.3
+    unseen_px: float = 0.0
+    unseen_m: float = 0.0
+    clock_sigma_s: float = 0.5
+
+    def moments(
+        self,
+        image_size_px: tuple[int, int],
+        n_sources: int,
+        n_clocks: int,
+        *,
+        position_known: bool,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Means and standard deviations of the whole parameter vector.
+
+        The heading has no prior (infinite standard deviation), and neither has the position of a
+        camera of which nobody knows where it stands.
+        """
+        position = self.position_sigma_m if position_known else np.inf
+        mean = [
+            np.log(self.height_m),
+            np.radians(self.pitch_deg[0]),
+            np.radians(self.roll_deg[0]),
+            0.0,
+            np.log(self.focal_widths * image_size_px[0]),
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            self.half_length_m[0],
+            self.half_beam_m[0],
+        ]
+        sigma = [
+            self.height_log_sigma,
+            np.radians(self.pitch_deg[1]),
+            np.radians(self.roll_deg[1]),
+            np.inf,
+            self.focal_log_sigma,
+            self.k1_sigma,
+            self.k2_sigma,
+            position,
+            position,
+            self.half_length_m[1],
+            self.half_beam_m[1],
+        ]
+        return (
+            np.array(mean + [self.bias_px, 0.0] * n_sources + [0.0] * n_clocks),
+            np.array(
+                sigma
+                + [self.bias_px_sigma, self.bias_m_sigma] * n_sources
+                + [self.clock_sigma_s] * n_clocks
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class SourceBelief:
+    """What is believed of one source of boxes before any data, instead of what a prior says of all.
+
+    Attributes:
+        bias_px: Mean and standard deviation.
+        bias_m: Mean and standard deviation.
+    """
+
+    bias_px: tuple[float, float]
+    bias_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """Standard deviations of a box's foot, in pixels and in metres at the target.
+
+    Attributes:
+        row_px: Of the row, pixels.
+        row_m: Of the row, metres of height at the target.
+        column_px: Of the column, pixels.
+        place_m: Of the place itself, metres east and metres north, anew for each box: how far the
+            log is off, and the middle of the box off the middle of the hull. The two cannot be
+            told apart.
+        drift_m: Of the part of the log's error that lasts, metres east and metres north.
+        drift_s: How long it lasts: it decays as ``exp(-Δt / drift_s)``.
+        heave_m: Of the camera's height, which moves all rows together for about a second: of a
+            camera on a vessel.
+        middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
+            known where the course is.
+    """
+
+    row_px: float = 1.5
+    row_m: float = 0.2
+    column_px: float = 3.0
+    place_m: float = 1.0
+    drift_m: float = 1.0
+    drift_s: float = 20.0
+    heave_m: float = 0.0
+    middle_m: float = 0.0
+
+    def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Variances of a foot's column and row, square pixels, each (N,), without the place's.
+
+        Args:
+            squared_pixels_per_metre: (N,) the square of how large a metre at the target looks.
+        """
+        row_m2 = self.row_m**2 + self.heave_m**2
+        return (
+            np.full_like(squared_pixels_per_metre, self.column_px**2),
+            self.row_px**2 + row_m2 * squared_pixels_per_metre,
+        )
+
+    def scaled(self, factor: float) -> PixelNoise:
+        """The same noise, wider by a factor."""
+        return PixelNoise(
+            self.row_px * factor,
+            self.row_m * factor,
+            self.column_px * factor,
+            self.place_m * factor,
+            self.drift_m * factor,
+            self.drift_s,
+            self.heave_m * factor,
+            self.middle_m,
+        )

@@ -1,0 +1,328 @@
+r"""Boxes of a camera that was turned for good, as if it had not been.
+
+A bumped camera stands as well as before, only otherwise. What stands still before it tells how: a
+turn about the camera's axes takes each of its places to where it is seen now, through the lens.
+The reverse turn takes boxes to where they would be for the camera that the model knows, as swell is
+taken off (`sightline.camera.stabilisation`). What is not known of the turn is an error that a
+target has in common with itself a moment later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from sightline.camera.motion import Stance
+from sightline.camera.pinhole import Camera
+from sightline.camera.registration import Displacement, View, displacement
+from sightline.camera.static_intervals import least_turn_deg
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Positions, rfc3339
+
+_LEAST_SIGMAS = 4.0
+# Strips are no surer than this, however well they agree.
+_LEAST_SIGMA_PX = 0.15
+# Views of the same shore fit a turn to 0.2 px, two of different ones to some 3 px.
+_MOST_SIGMA_PX = 1.0
+# A turn that is not seen is of the order of this; one about the vertical of as much as the others.
+_UNSEEN_DEG = 1.0
+_ENOUGH = 0.5
+_MOST_DEG = 3.0
+_FEWEST = 4
+_NO_SUCH_TURN_PX = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """How a camera lay in the K stances of a recording, against the camera of a model.
+
+    A turn is a rotation vector: by it, in radians, what stands still has turned about the camera's
+    axes to the right, downwards and forward.
+
+    Attributes:
+        before_utc_s: (K,) time of the last look before the stance; minus infinity for the first.
+        since_utc_s: (K,) time of the first look of the stance; minus infinity for the first.
+        rotation_rad: (K, 3).
+        covariance_rad2: (K, 3, 3).
+        heading_known: (K,) bool, whether the turn about the vertical was seen.
+        camera: The camera of the model.
+        focal_log_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
+            turn unsure, and not where levelled boxes lie: the same lens measures the turn and takes
+            it off.
+    """
+
+    before_utc_s: FloatArray
+    since_utc_s: FloatArray
+    rotation_rad: FloatArray
+    covariance_rad2: FloatArray
+    heading_known: BoolArray
+    camera: Camera
+    focal_log_sigma: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        stances: Sequence[Stance],
+        camera: Camera,
+        reference: View | None = None,
+        *,
+        focal_log_sigma: float = 0.0,
+    ) -> Turns | None:
+        """The turns of a recording; None where the camera was not turned, or nothing tells.
+
+        Args:
+            stances: Of the recording.
+            camera: Of the model.
+            reference: What the camera of the model saw; None, or not to be compared: the first
+                stance is taken to be the model's.
+            focal_log_sigma: Of the camera.
+        """
+        if not stances:
+            return None
+        first = None if reference is None else _turn(reference, stances[0].view, camera)
+        if reference is None or first is None:
+            reference = stances[0].view
+        rotations, covariances, known = [np.zeros(3)], [np.zeros((3, 3))], [True]
+        turned = False
+        for k, stance in enumerate(stances):
+            told = first if k == 0 else _turn(reference, stance.view, camera)
+            start, doubt = np.zeros(3), np.zeros((3, 3))
+            if told is None and k:
+                # Too far from the model's to be compared: from one stance to the next.
+                told = _turn(stances[k - 1].view, stance.view, camera)
+                start, doubt = rotations[k], covariances[k]
+            if told is None:
+                # It was turned, and nobody knows how; the first is taken for the model's.
+                unsure = np.radians(_UNSEEN_DEG) ** 2 * np.eye(3) if k else 0.0
+                rotations.append(start)
+                covariances.append(doubt + unsure)
+                known.append(k == 0)
+                turned |= k > 0
+                continue
+            rotation, covariance, landmarks = told
+            turned |= _is_turn(rotation, covariance, camera)
+            both = Rotation.from_rotvec(rotation) * Rotation.from_rotvec(start)
+            rotations.append(both.as_rotvec())
+            covariances.append(covariance + doubt)
+            known.append(landmarks and (known[k] or not start.any()))
+        if not turned:
+            return None
+        return cls(
+            before_utc_s=np.array([stance.before_utc_s for stance in stances]),
+            since_utc_s=np.array([stance.since_utc_s for stance in stances]),
+            rotation_rad=np.array(rotations[1:]),
+            covariance_rad2=np.array(covariances[1:]),
+            heading_known=np.array(known[1:]),
+            camera=camera,
+            focal_log_sigma=focal_log_sigma,
+        )
+
+    def __len__(self) -> int:
+        return int(self.since_utc_s.size)
+
+    @property
+    def angles_deg(self) -> FloatArray:
+        """(K, 3) turns of the camera: heading to the right, pitch downwards, roll clockwise.
+
+        A roll is positive where the right end of the horizon is lower than before.
+        """
+        return np.degrees(self.rotation_rad[:, [1, 0, 2]] * [-1.0, 1.0, 1.0])
+
+    @property
+    def sigma_deg(self) -> FloatArray:
+        """(K, 3) standard deviations of `angles_deg`."""
+        variance = np.diagonal(self.covariance_rad2, axis1=1, axis2=2)[:, [1, 0, 2]]
+        # A roll is an angle in the picture itself.
+        lens = self.focal_log_sigma * self.angles_deg * [1.0, 1.0, 0.0]
+        return np.hypot(np.degrees(np.sqrt(variance)), lens)
+
+    def at(self, time_utc_s: FloatArray) -> tuple[IntArray, BoolArray]:
+        """(N,) the stance at each time, and (N,) whether it is sure that it had begun."""
+        stance = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
+        after = np.append(self.before_utc_s[1:], np.inf)[stance]
+        return stance, np.asarray(time_utc_s <= after)
+
+    def moved(self, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
+        """Corners (N, 4) as the camera of the model would have seen them, and which are known.
+
+        Between the last look before a turn and the first one after it nobody knows how the camera
+        lay.
+        """
+        stance, sure = self.at(boxes.time_utc_s)
+        foot = np.stack([boxes.xyxy_px[:, [0, 2]].mean(axis=1), boxes.xyxy_px[:, 3]], axis=1)
+        rays = self.camera.rays(foot)
+        seen = np.isfinite(rays).all(axis=1) & sure
+        moved = np.full_like(foot, np.nan)
+        if seen.any():
+            back = Rotation.from_rotvec(self.rotation_rad[stance[seen]]).inv()
+            moved[seen] = self.camera.pixels(back.apply(rays[seen]))
+        return boxes.xyxy_px + np.tile(moved - foot, 2), np.isfinite(moved).all(axis=1)
+
+    def level(self, boxes: Boxes) -> Boxes:
+        """Boxes as the camera of the model would have seen them, those of which that is known."""
+        moved, known = self.moved(boxes)
+        return boxes[known].with_columns(xyxy_px=moved[known])
+
+    def widened(
+        self, positions: Positions, time_utc_s: FloatArray, above_m: ArrayLike = 0.0
+    ) -> Positions:
+        """Positions of levelled boxes, with what is not known of the turns.
+
+        Args:
+            positions: N rows, in the model's plane.
+            time_utc_s: (N,) of the boxes.
+            above_m: (N,) or one value: how high the water stood above the plane that the camera's
+                height is over.
+        """
+        stance, _ = self.at(time_utc_s)
+        camera = self.camera
+        place = np.stack([positions.east_m - camera.east_m, positions.north_m - camera.north_m], 1)
+        height = np.broadcast_to(camera.height_m - np.asarray(above_m), len(place))[:, None]
+        sight = np.concatenate([place, -height], axis=1)
+        # A small turn w takes a sight d to d + w x d, and that meets the water elsewhere.
+        by_axis = np.cross(camera.rotation[None, :, :], sight[:, None, :])
+        moved = by_axis[..., :2] + by_axis[..., 2:] * (place / height)[:, None, :]
+        own = np.einsum("nai,nab,nbj->nij", moved, self.covariance_rad2[stance], moved)
+        assert positions.shared_covariance_m2 is not None, "positions fill it in"
+        return replace(
+            positions,
+            covariance_m2=positions.covariance_m2 + own,
+            shared_covariance_m2=positions.shared_covariance_m2
+            + np.where(positions.known[:, None, None], own, 0.0),
+        )
+
+    def sentences(self) -> tuple[str, ...]:
+        """The turns in words, each against the camera of the model."""
+        out = []
+        for k, (angles, sigmas) in enumerate(zip(self.angles_deg, self.sigma_deg, strict=True)):
+            as_model = self._is_small(k)
+            if as_model and (k == 0 or self._is_small(k - 1)):
+                continue
+            when = "from its beginning"
+            if k:
+                when = f"from {rfc3339(float(self.since_utc_s[k]))} on"
+            if sigmas[1] > 0.5 * _UNSEEN_DEG:
+                out.append(f"{when} the camera lay otherwise, and its pictures do not tell how.")
+                continue
+            if as_model:
+                out.append(f"{when} the camera lay as for the model.")
+                continue
+            heading = f"{angles[0]:+.2f} ± {sigmas[0]:.2f} degrees in heading"
+            if not self.heading_known[k]:
+                heading = (
+                    f"an unknown angle in heading (taken for {angles[0]:.1f} ± {sigmas[0]:.1f} "
+                    "degrees)"
+                )
+            out.append(
+                f"{when} the camera lay turned by {heading}, {angles[1]:+.2f} ± {sigmas[1]:.2f} "
+                f"in pitch and {angles[2]:+.2f} ± {sigmas[2]:.2f} in roll against the model's."
+            )
+        return tuple(out)
+
+    def _is_small(self, k: int) -> bool:
+        """Whether a stance is that of the model, as far as turns count."""
+        rotation, covariance = self.rotation_rad[k], self.covariance_rad2[k]
+        told = np.sqrt(covariance[0, 0]) < 0.5 * np.radians(_UNSEEN_DEG)
+        return bool(told and not _is_turn(rotation, covariance, self.camera))
+
+
+def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bool:
+    """Whether a turn moves what is seen by enough, and is sure enough, to be one."""
+    half_width = 0.5 * camera.image_size_px[0] / camera.focal_px
+    moved_rad = max(float(np.hypot(*rotation[:2])), half_width * abs(float(rotation[2])))
+    doubt = np.diag(covariance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sure = np.abs(rotation) > _LEAST_SIGMAS * np.sqrt(doubt)
+    return bool(moved_rad >= np.radians(least_turn_deg(camera.focal_px)) and sure.any())
+
+
+def seen_again(reference: View, other: View, camera: Camera) -> bool:
+    """Whether one view shows what stood still in another, wherever it lies in it now.
+
+    Args:
+        reference: Of one time.
+        other: Of another.
+        camera: With the lens of both.
+    """
+    return _turn(reference, other, camera) is not None
+
+
+def _turn(
+    reference: View, other: View, camera: Camera
+) -> tuple[FloatArray, FloatArray, bool] | None:
+    """As `_rotation`, from one view to another, and whether landmarks tell it."""
+    moved = displacement(reference, other)
+    told = None if moved is None else _rotation(moved, camera)
+    return None if moved is None or told is None else (*told, moved.landmarks)
+
+
+def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
+    """The turn (3,) of what stands still that moves places as was measured, and its covariance.
+
+    None where the lens has no rays for enough of the places, or no turn explains what was measured:
+    then the two views do not show the same.
+    """
+    there = moved.at_px + moved.moved_px
+    rays = camera.rays(moved.at_px)
+    # Where only a horizon is seen, where it lies counts, and not where along it.
+    axes = slice(None) if moved.landmarks else slice(1, 2)
+    usable = np.isfinite(rays).all(axis=1) & np.isfinite(camera.rays(there)).all(axis=1)
+    if usable.sum() < _FEWEST:
+        return None
+    rays, there = rays[usable], there[usable]
+    unseen = np.radians(_UNSEEN_DEG)
+
+    def off(turn: FloatArray) -> FloatArray:
+        seen = camera.pixels(Rotation.from_rotvec(turn).apply(rays))
+        left = np.nan_to_num((seen - there)[:, axes].ravel(), nan=_NO_SUCH_TURN_PX)
+        return left if moved.landmarks else np.append(left, _LEAST_SIGMA_PX * turn[1] / unseen)
+
+    # The first step is by a degree at most; further off, rays may leave the picture.
+    found = least_squares(
+        off, np.zeros(3), loss="soft_l1", f_scale=2.0 * _LEAST_SIGMA_PX, x_scale=unseen
+    )
+    left = off(found.x)
+    sigma_px = max(_LEAST_SIGMA_PX, 1.4826 * float(np.median(np.abs(left))))
+    if sigma_px > _MOST_SIGMA_PX:
+        return None
+    design = _slopes(off, found.x)
+    scale = np.full(len(left), sigma_px)
+    if not moved.landmarks:
+        scale[-1] = _LEAST_SIGMA_PX / max(1.0, float(np.hypot(*found.x[[0, 2]])) / unseen)
+    weighted = design / scale[:, None]
+    known = weighted.T @ weighted + np.eye(3) / np.radians(_MOST_DEG) ** 2
+    return np.asarray(found.x), np.asarray(np.linalg.inv(known))
+
+
+def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatArray:
+    step = 1e-5
+    return np.stack(
+        [(off(turn + step * axis) - off(turn - step * axis)) / (2.0 * step) for axis in np.eye(3)],
+        axis=1,
+    )
+
+
+def reference_view(stances: Mapping[str, Sequence[Stance]]) -> View | None:
+    """The view with which most others can be compared; the latest that half of them can be.
+
+    Args:
+        stances: By recording.
+    """
+    ordered = sorted(stances.values(), key=_when)
+    views = [stance.view for one in ordered for stance in one][::-1]
+    best: tuple[int, View] | None = None
+    for view in views:
+        others = sum(displacement(view, other) is not None for other in views)
+        if others >= _ENOUGH * len(views):
+            return view
+        if best is None or others > best[0]:
+            best = (others, view)
+    return None if best is None else best[1]
+
+
+def _when(stances: Sequence[Stance]) -> float:
+    return stances[-1].since_utc_s

@@ -1,0 +1,705 @@
+"""The models `camera` and `camera+gpr`: boxes in, places with their covariance out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils.validation import check_is_fitted
+
+from sightline.camera.calibration import CameraFit, fit_camera
+from sightline.camera.correlated_noise import LogError
+from sightline.camera.observations import NO_SOURCE, Sightings
+from sightline.camera.pinhole import (
+    BY_ABOVE,
+    BY_COLUMN,
+    BY_ROW,
+    PARAMETERS,
+    Camera,
+    locate_with_jacobian,
+)
+from sightline.camera.priors import (
+    ANY_ASPECT,
+    FIRST_SOURCE,
+    SOURCE_PARAMETERS,
+    CameraPrior,
+    PixelNoise,
+    SourceBelief,
+)
+from sightline.errors import FitError, InputError
+from sightline.georeferencing.one_box import place_one
+from sightline.georeferencing.paper.estimator import Arrays, Settings
+from sightline.georeferencing.placement import Placement
+from sightline.georeferencing.residual_gp import Hyperparameters, ResidualProcess
+from sightline.types import BoolArray, FloatArray, IntArray, StrArray, check_boxes
+
+FEWEST_FOR_RESIDUAL = 10
+"""With fewer boxes a camera is all that can be learned."""
+
+CONTROL_POINT_SIGMA_M = 0.1
+"""How far off a control point may lie: read off an aerial picture, or surveyed."""
+
+LARGEST_RELATIVE_SIGMA = 0.5
+"""A box whose range is less certain than this share of itself has no position."""
+
+UNSEEN_BIAS_PX = 5.0
+"""How far off the lower edge of a source that nobody knows may be: detectors that were trained on
+other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
+
+# The belief weighs as much as so many known sources.
+_UNSEEN_WEIGHT = 2.0
+_LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
+# So that what is known of a chunk stays in a core's own cache.
+_CHUNK = 1024
+
+
+class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
+    """An unknown camera, and a Gaussian process on what it leaves.
+
+    Args:
+        image_size_px: Width and height.
+        residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
+        prior: Beliefs about the camera; None: those of an ordinary one.
+        position_known: Whether the camera stands at the origin of the plane, as far as one knows.
+        heaving: Whether the camera is on a vessel, whose heave is no error of the log.
+        starts: Random starting cameras of the fit.
+        random_state: Seed of the starts.
+        above_sigma_m: How far off it is how high the water stands (``above_m``); 0 where that is
+            not asked.
+
+    Attributes:
+        fit_: The fitted camera and its uncertainty, a `CameraFit`.
+        sources_: Names of the sources of boxes, in the order of their biases.
+        range_process_: Residual of the log-range, or None.
+        bearing_process_: Residual of the bearing, radians, or None.
+    """
+
+    def __init__(
+        self,
+        image_size_px: tuple[int, int] = (1280, 720),
+        *,
+        residual: bool = True,
+        prior: CameraPrior | None = None,
+        position_known: bool = True,
+        heaving: bool = False,
+        starts: int = 8,
+        random_state: int = 0,
+        above_sigma_m: float = 0.0,
+    ) -> None:
+        self.image_size_px = image_size_px
+        self.residual = residual
+        self.prior = prior
+        self.position_known = position_known
+        self.heaving = heaving
+        self.starts = starts
+        self.random_state = random_state
+        self.above_sigma_m = above_sigma_m
+
+    def fit(
+        self,
+        X: ArrayLike,
+        y: ArrayLike,
+        *,
+        source: ArrayLike | None = None,
+        group: ArrayLike | None = None,
+        vessel: ArrayLike | None = None,
+        velocity_mps: ArrayLike | None = None,
+        time_s: ArrayLike | None = None,
+        above_m: ArrayLike | None = None,
+        beside: ArrayLike | None = None,
+        control_px: ArrayLike | None = None,
+        control_east_north_m: ArrayLike | None = None,
+        control_sigma_m: ArrayLike | None = None,
+        beliefs: Mapping[str, SourceBelief] | None = None,
+    ) -> Self:
+        """Learn from boxes and control points.
+
+        Args:
+            X: (N, 4) boxes, pixels.
+            y: (N, 2) metres east and north.
+            source: (N,) str, who made each box; absent: one unnamed source.
+            group: (N,) the recording of each box; absent: one.
+            vessel: (N,) whose box it is, where there are several: each has a log. Absent: one.
+            velocity_mps: (N, 2) of the target, east and north; tells how far a clock is off.
+            time_s: (N,) of each box, seconds; tells which errors of the log are alike. Absent or
+                NaN: those of a recording are not.
+            above_m: (N,) how high the water stood at each box above the plane that the camera's
+                height is over. Absent: at it.
+            beside: (N,) bool, boxes of which the residual process learns nothing: what a detector
+                makes of a boat differs from what people do, in size as in place, and its boxes are
+                there to learn its lower edge by. Absent: it learns of all.
+            control_px: (M, 2) pixels of control points.
+            control_east_north_m: (M, 2) metres.
+            control_sigma_m: (M,) how far off each may lie; absent: `CONTROL_POINT_SIGMA_M`.
+            beliefs: About the habits of sources, by their names; others have the prior's.
+
+        Raises:
+            FitError: The pairs are too few, or all in one place.
+            InputError: A box is none, or columns differ in length.
+        """
+        boxes, places = _rows(X, 4), _rows(y, 2)
+        pixels = _rows([] if control_px is None else control_px, 2)
+        known = _rows([] if control_east_north_m is None else control_east_north_m, 2)
+        check_boxes(boxes)
+        n, m = len(boxes), len(pixels)
+        velocity = np.zeros((n, 2)) if velocity_mps is None else _rows(velocity_mps, 2)
+        times = np.full(n, np.nan) if time_s is None else np.asarray(time_s, dtype=np.float64)
+        above = np.zeros(n) if above_m is None else np.asarray(above_m, dtype=np.float64)
+        if len(places) != n or len(known) != m:
+            raise InputError(f"{n} boxes and {len(places)} places; each box needs its place")
+        names = np.asarray(source if source is not None else [""] * n, dtype=np.str_)
+        groups = np.asarray(group if group is not None else [0] * n)
+        self.sources_ = tuple(str(name) for name in np.unique(names))
+        index = np.searchsorted(self.sources_, names) if n else np.empty(0, dtype=np.int64)
+        self._group: IntArray = np.unique(groups, return_inverse=True)[1].astype(np.int64)
+        of = np.asarray(vessel if vessel is not None else [""] * n, dtype=np.str_)
+        whose = np.unique(of, return_inverse=True)[1]
+        logs = self._group * (int(whose.max(initial=0)) + 1) + whose
+        self._log: IntArray = np.unique(logs, return_inverse=True)[1].astype(np.int64)
+        foot = _foot(boxes)
+        certain = np.full(m, CONTROL_POINT_SIGMA_M)
+        if control_sigma_m is not None:
+            certain = np.asarray(control_sigma_m, dtype=np.float64)
+        # Points of a map are independent of one another: each is a group of its own.
+        own = int(self._group.max(initial=-1)) + 1 + np.arange(m)
+        sightings = Sightings(
+            pixel_px=np.concatenate([foot, pixels]),
+            east_m=np.concatenate([places[:, 0], known[:, 0]]),
+            north_m=np.concatenate([places[:, 1], known[:, 1]]),
+            source=np.concatenate([index, np.full(m, NO_SOURCE)]).astype(np.int64),
+            group=np.concatenate([self._group, own]).astype(np.int64),
+            velocity_mps=np.concatenate([velocity, np.zeros((m, 2))]),
+            sigma_m=np.concatenate([np.zeros(n), certain]),
+            time_s=np.concatenate([times, np.full(m, np.nan)]),
+            width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
+            above_m=np.concatenate([above, np.zeros(m)]),
+            log=np.concatenate([self._log, int(self._log.max(initial=-1)) + 1 + np.arange(m)]),
+        )
+        self.fit_ = fit_camera(
+            sightings,
+            self.image_size_px,
+            n_sources=len(self.sources_),
+            prior=self.prior,
+            beliefs={
+                self.sources_.index(name): belief
+                for name, belief in (beliefs or {}).items()
+                if name in self.sources_
+            },
+            noise=PixelNoise(drift_m=0.0) if n == 0 else None,
+            position_known=self.position_known,
+            heaving=self.heaving,
+            starts=self.starts,
+            seed=self.random_state,
+        )
+        self.n_features_in_ = 4
+        self.typical_speed_mps_ = float(np.sqrt(np.mean(velocity**2) * 2.0)) if n else 0.0
+        self._prepare()
+        self.range_process_: ResidualProcess | None = None
+        self.bearing_process_: ResidualProcess | None = None
+        if self.residual and n >= FEWEST_FOR_RESIDUAL:
+            offset = self.fit_.clock_offset_s
+            clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
+            late = np.array([clocks.get(int(g), 0.0) for g in self._group])
+            learns: BoolArray = np.ones(n, dtype=np.bool_)
+            if beside is not None:
+                learns = ~np.asarray(beside, dtype=np.bool_)
+            put_right = places + late[:, None] * velocity
+            self._learn_residual(boxes, put_right, names, times, above, learns)
+        return self
+
+    def predict(
+        self,
+        X: ArrayLike,
+        *,
+        source: ArrayLike | None = None,
+        above_m: ArrayLike = 0.0,
+        return_cov: bool = False,
+        return_shared: bool = False,
+    ) -> Any:
+        """Where boxes lie.
+
+        Args:
+            X: (N, 4) boxes, pixels.
+            source: (N,) str or one for all, who made the boxes. A source that was not learned
+                from counts as `bias` says.
+            above_m: (N,) or one value: how high the water stands above the plane that the camera's
+                height is over; below the camera.
+            return_cov: Whether to return covariances too.
+            return_shared: Whether to return, besides, the part of them that a target has in
+                common with itself a moment later: all but the noise of the box.
+
+        Returns:
+            (N, 2) metres east and north, NaN where there is no position: at or above the horizon,
+            and where the range would be less certain than half of itself. With ``return_cov``
+            also (N, 2, 2) square metres: parameters of the camera, noise of the box, residual;
+            with ``return_shared`` another (N, 2, 2).
+        """
+        if not hasattr(self, "fit_"):
+            check_is_fitted(self, "fit_")
+        boxes = np.asarray(X, dtype=np.float64)
+        n = len(boxes)
+        above = np.asarray(above_m, dtype=np.float64)
+        # One level for all is not spread over the boxes, which would cost every batch.
+        each = above.ndim > 0
+        if n == 1:
+            name = "" if source is None else str(np.ravel(source)[0])
+            one = place_one(self, boxes[0], name, LARGEST_RELATIVE_SIGMA, float(above.ravel()[0]))
+            if one is not None:
+                return one if return_shared else one[:2] if return_cov else one[0]
+        places, covariance = np.empty((n, 2)), np.empty((n, 2, 2))
+        shared = np.empty((n if return_shared else 0, 2, 2))
+        if source is None or np.ndim(source) == 0:
+            parts: list[tuple[str, IntArray | None]] = [(str(source or ""), None)]
+        else:
+            names = np.asarray(source, dtype=np.str_)
+            parts = [(str(name), np.flatnonzero(names == name)) for name in np.unique(names)]
+        for name, rows in parts:
+            count = len(boxes) if rows is None else len(rows)
+            for start in range(0, count, _CHUNK):
+                part = slice(start, start + _CHUNK)
+                if rows is None:
+                    level = above[part] if each else above
+                    self._place(
+                        boxes[part], name, level, places[part], covariance[part], shared[part]
+                    )
+                    continue
+                chosen = rows[part]
+                level = above[chosen] if each else above
+                where, spread = np.empty((chosen.size, 2)), np.empty((chosen.size, 2, 2))
+                common = np.empty((chosen.size if return_shared else 0, 2, 2))
+                self._place(boxes[chosen], name, level, where, spread, common)
+                places[chosen], covariance[chosen] = where, spread
+                if return_shared:
+                    shared[chosen] = common
+        if return_shared:
+            return places, covariance, shared
+        return (places, covariance) if return_cov else places
+
+    @property
+    def camera(self) -> Camera:
+        """The fitted camera."""
+        return self.camera_
+
+    @property
+    def camera_fit(self) -> CameraFit:
+        """The fitted camera and its uncertainty."""
+        return self.fit_
+
+    @property
+    def reference_sigma_m(self) -> float:
+        """Lasting error of the logs that it learned from, metres east and north."""
+        return self.fit_.noise.drift_m
+
+    def locate(
+        self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
+    ) -> Placement:
+        """As `predict`, with covariances and the part of them that a target shares with itself."""
+        return Placement(
+            *self.predict(boxes_xyxy_px, source=source, above_m=above_m, return_shared=True)
+        )
+
+    def bias(self, source: str) -> tuple[FloatArray, FloatArray]:
+        """A source's bias, (2,) pixels and metres, and the whole covariance with the camera's.
+
+        The covariance is (13, 13): the camera's nine parameters, the target's two, and the two of
+        the bias. A source that was not learned from is what the prior says of such, and how far the
+        known ones are from that says how far it may be.
+        """
+        fit, prior = self.fit_, self.prior or CameraPrior()
+        name = self.sources_[0] if not source and len(self.sources_) == 1 else source
+        each = len(SOURCE_PARAMETERS)
+        if name in self.sources_:
+            first = FIRST_SOURCE + each * self.sources_.index(name)
+            chosen = [*range(FIRST_SOURCE), first, first + 1]
+            return fit.vector[first : first + 2], fit.covariance[np.ix_(chosen, chosen)]
+        count = len(self.sources_)
+        mean = np.array([prior.unseen_px, prior.unseen_m])
+        expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
+        known = slice(FIRST_SOURCE, FIRST_SOURCE + each * count)
+        squares = (fit.vector[known].reshape(-1, each) - mean) ** 2
+        squares += np.diag(fit.covariance)[known].reshape(-1, each)
+        spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
+        covariance = np.zeros((FIRST_SOURCE + each, FIRST_SOURCE + each))
+        covariance[:FIRST_SOURCE, :FIRST_SOURCE] = fit.covariance[:FIRST_SOURCE, :FIRST_SOURCE]
+        covariance[FIRST_SOURCE:, FIRST_SOURCE:] = np.diag(spread / (_UNSEEN_WEIGHT + count))
+        return mean, covariance
+
+    def _prepare(self) -> None:
+        """What every prediction needs, once: the camera, and each source's bias."""
+        # By how much a target moves while the clock is unsure, along either axis.
+        self.clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
+        self.camera_: Camera = self.fit_.camera
+        length, beam = self.fit_.vector[len(PARAMETERS) : FIRST_SOURCE]
+        self.hull_m = float(ANY_ASPECT * (length + beam))
+        # The variance of length |cos| + beam |sin| over all aspects.
+        aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self.hull_m**2
+        # Of a box nobody knows the course, and so not to which side of its middle the receiver is.
+        place = self.fit_.noise.place_m**2 + 0.5 * self.fit_.noise.middle_m**2
+        self.place_variance = np.array([[place + aspect], [place]])
+        self._biases: dict[str, tuple[float, float, FloatArray]] = {}
+
+    def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
+        """A source's bias, pixels and metres, and a root of the covariance of all parameters.
+
+        The root is (13, 12): its product with `Located.derivatives`, but for the last, has the
+        square that the covariance gives.
+        """
+        if source not in self._biases:
+            bias, covariance = self.bias(source)
+            values, vectors = np.linalg.eigh(covariance)
+            root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+            # Nobody knows where the bow of a box points to: both halves of a hull count alike.
+            first, second = range(len(PARAMETERS), FIRST_SOURCE)
+            root[:, second] = ANY_ASPECT * (root[:, first] + root[:, second])
+            root = np.delete(root, first, axis=1)
+            # What the bias adds to the row is taken off before the place is looked up.
+            root[:, BY_ROW] *= -1.0
+            self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
+        return self._biases[source]
+
+    def _see(
+        self, boxes: FloatArray, source: str, above_m: FloatArray, *, heave: bool = True
+    ) -> _Seen:
+        bias_px, bias_m, root = self.bias_root(source)
+        camera = self.camera_
+        column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
+        at = locate_with_jacobian(camera, column, row, bias_m + above_m, self.hull_m)
+        by = at.derivatives
+        shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
+        moved = np.einsum("kin,kin->in", shift, shift)
+        if self.above_sigma_m > 0.0:
+            moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
+        slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
+        by_column, by_row = by[BY_COLUMN], by[BY_ROW]
+        box = self.fit_.noise if heave else replace(self.fit_.noise, heave_m=0.0)
+        of_column, of_row = box.variances_px2(camera.focal_px**2 / slant)
+        noise = of_column * by_column * by_column
+        noise += of_row * by_row * by_row
+        noise += self.place_variance
+        return _Seen(
+            at.distance_m,
+            at.sine,
+            at.cosine,
+            moved=moved,
+            moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
+            noise=noise,
+            noise_mixed=of_column * by_column[0] * by_column[1] + of_row * by_row[0] * by_row[1],
+        )
+
+    def _inputs(self, boxes: FloatArray, seen: _Seen, source: str) -> FloatArray:
+        """(N, 4) what the residual depends on: bearing, log-range, log of apparent height, width.
+
+        The bearing is off the optical axis, radians; heights and widths are metres.
+        """
+        heading = math.radians(self.camera_.heading_deg)
+        sine, cosine = math.sin(heading), math.cos(heading)
+        out = np.empty((4, len(boxes)))
+        np.arctan2(
+            seen.sine * cosine - seen.cosine * sine,
+            seen.cosine * cosine + seen.sine * sine,
+            out=out[0],
+        )
+        out[1] = seen.distance
+        metres_per_pixel = seen.distance / self.camera_.focal_px
+        bias_px = self.bias_root(source)[0]
+        out[2] = np.maximum(boxes[:, 3] - boxes[:, 1] - bias_px, 0.5) * metres_per_pixel
+        out[3] = (boxes[:, 2] - boxes[:, 0]) * metres_per_pixel
+        np.log(out[1:], out=out[1:])
+        return out.T
+
+    def _place(
+        self,
+        boxes: FloatArray,
+        source: str,
+        above_m: FloatArray,
+        places: FloatArray,
+        covariance: FloatArray,
+        shared: FloatArray,
+    ) -> None:
+        """Fill in the places (N, 2) and covariances (N, 2, 2) of boxes of one source.
+
+        The shared part of the covariances is filled in where ``shared`` has room for it.
+        """
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            seen = self._see(boxes, source, above_m)
+            limit = (LARGEST_RELATIVE_SIGMA * seen.distance) ** 2
+            known = seen.moved[0] + seen.noise[0] < limit
+        distance, sine, cosine = seen.distance, seen.sine, seen.cosine
+        along, across = seen.moved + self.clock_variance
+        mixed = seen.moved_mixed
+        if self.range_process_ is None or self.bearing_process_ is None:
+            own_along, own_across = seen.noise
+            along += own_along
+            across += own_across
+            mixed = mixed + seen.noise_mixed
+        else:
+            rows = slice(None) if known.all() else known
+            near = seen[rows]
+            inputs = self._inputs(boxes[rows], near, source)
+            own = np.sqrt(near.noise) / near.distance
+            stretch, stretch_variance = self.range_process_.predict(inputs, own[0])
+            turn, turn_variance = self.bearing_process_.predict(inputs, own[1])
+            further = near.distance * np.exp(stretch)
+            scale = further * further
+            along[rows] += stretch_variance * scale
+            across[rows] += turn_variance * scale
+            own_along, own_across = np.zeros_like(along), np.zeros_like(across)
+            own_along[rows] = (self.range_process_.hyperparameters.noise * own[0]) ** 2 * scale
+            own_across[rows] = (self.bearing_process_.hyperparameters.noise * own[1]) ** 2 * scale
+            sin_t, cos_t = np.sin(turn), np.cos(turn)
+            distance[rows] = further
+            sine[rows], cosine[rows] = (
+                near.sine * cos_t + near.cosine * sin_t,
+                near.cosine * cos_t - near.sine * sin_t,
+            )
+        places[:, 0] = self.camera_.east_m + distance * sine
+        places[:, 1] = self.camera_.north_m + distance * cosine
+        _turn(along, across, mixed, sine, cosine, covariance)
+        if shared.size:
+            _turn(along - own_along, across - own_across, seen.moved_mixed, sine, cosine, shared)
+        if not known.all():
+            places[~known] = np.nan
+            covariance[~known] = np.nan
+            shared[~known[: len(shared)]] = np.nan
+
+    def _learn_residual(
+        self,
+        boxes: FloatArray,
+        places: FloatArray,
+        names: Any,
+        time_s: FloatArray,
+        above_m: FloatArray,
+        own: BoolArray,
+    ) -> None:
+        n = len(boxes)
+        inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
+        noise = np.full((n, 2), np.nan)
+        sight = np.full((n, 2), np.nan)
+        camera = self.camera_
+        east, north = places[:, 0] - camera.east_m, places[:, 1] - camera.north_m
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            for name in np.unique(names):
+                rows = np.flatnonzero(names == name)
+                # Heave is in the error that lasts, below.
+                seen = self._see(boxes[rows], str(name), above_m[rows], heave=False)
+                inputs[rows] = self._inputs(boxes[rows], seen, str(name))
+                noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
+                sight[rows] = np.stack([seen.sine, seen.cosine], axis=1) / seen.distance[:, None]
+                turn = np.arctan2(east[rows], north[rows]) - np.arctan2(seen.sine, seen.cosine)
+                targets[rows, 0] = np.log(np.hypot(east[rows], north[rows]) / seen.distance)
+                targets[rows, 1] = np.arctan2(np.sin(turn), np.cos(turn))
+            usable = (
+                own
+                & np.isfinite(inputs).all(axis=1)
+                & np.isfinite(targets).all(axis=1)
+                & (noise[:, 0] < LARGEST_RELATIVE_SIGMA)
+                & ~self.fit_.outlier[:n]
+            )
+        if usable.sum() < FEWEST_FOR_RESIDUAL:
+            return
+        limit = 3.0 * noise[usable]
+        clipped = np.clip(targets[usable], -limit, limit)
+
+        def learn(axis: int) -> ResidualProcess:
+            along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
+            log_error = LogError(
+                time_s,
+                along_or_across,
+                self._log,
+                self.fit_.noise.drift_m,
+                self.fit_.noise.drift_s,
+                # Heave changes all ranges by the same share, and no bearing.
+                self.fit_.noise.heave_m / camera.height_m if axis == 0 else 0.0,
+            )
+            return ResidualProcess(
+                inputs[usable],
+                clipped[:, axis],
+                noise[usable, axis],
+                self._group[usable],
+                length_scales=_LENGTH_SCALES,
+                log_error=log_error[usable],
+            )
+
+        self.range_process_, self.bearing_process_ = learn(0), learn(1)
+
+    def state(self) -> tuple[Arrays, Settings]:
+        """What `from_state` needs to predict the same: arrays, and the rest as JSON can hold it."""
+        check_is_fitted(self, "fit_")
+        fit = self.fit_
+        arrays: Arrays = {
+            "vector": fit.vector,
+            "covariance": fit.covariance,
+            "prior_sigma": fit.prior_sigma,
+            "clock_groups": fit.clock_groups,
+        }
+        settings: Settings = {
+            "image_size_px": list(self.image_size_px),
+            "residual": self.residual,
+            "position_known": self.position_known,
+            "sources": list(self.sources_),
+            "noise": {name: getattr(fit.noise, name) for name in fit.noise.__dataclass_fields__},
+            "prior": {name: getattr(self.prior, name) for name in CameraPrior.__dataclass_fields__}
+            if self.prior
+            else None,
+            # Only where there is something to say: other models stay as they were.
+            **({"above_sigma_m": self.above_sigma_m} if self.above_sigma_m else {}),
+            "starts_agreeing": fit.starts_agreeing,
+            "starts": fit.starts,
+            "typical_range_m": fit.typical_range_m,
+            "typical_speed_mps": self.typical_speed_mps_,
+        }
+        for key, process in (("range", self.range_process_), ("bearing", self.bearing_process_)):
+            if process is not None:
+                arrays[f"{key}.inputs"] = process.inputs
+                arrays[f"{key}.targets"] = process.targets
+                arrays[f"{key}.noise"] = process.noise
+                arrays[f"{key}.group"] = process.group
+                if process.log_error is not None:
+                    arrays[f"{key}.time"] = process.log_error.time_s
+                    arrays[f"{key}.direction"] = process.log_error.direction
+                    arrays[f"{key}.log"] = process.log_error.log
+                settings[key] = {
+                    "hyperparameters": process.hyperparameters.to_list(),
+                    "length_scales": list(process.length_scales),
+                }
+        return arrays, settings
+
+    @classmethod
+    def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
+        """The model that `state` described.
+
+        Args:
+            arrays: Of `state`.
+            settings: Of `state`.
+
+        Raises:
+            LookupError: A part is missing.
+            ValueError: A part does not fit the others.
+        """
+        prior = settings["prior"]
+        if prior is not None:
+            pairs = {k: tuple(v) for k, v in prior.items() if isinstance(v, list)}
+            prior = CameraPrior(**{**prior, **pairs})
+        width, height = (int(v) for v in settings["image_size_px"])
+        model = cls(
+            (width, height),
+            residual=bool(settings["residual"]),
+            prior=prior,
+            position_known=bool(settings["position_known"]),
+            above_sigma_m=float(settings.get("above_sigma_m", 0.0)),
+        )
+        model.sources_ = tuple(settings["sources"])
+        clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
+        size = FIRST_SOURCE + len(SOURCE_PARAMETERS) * len(model.sources_) + clock_groups.size
+        vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
+        nothing = np.empty(0)
+        model.fit_ = CameraFit(
+            vector=vector,
+            covariance=np.array(arrays["covariance"], dtype=np.float64).reshape(size, size),
+            prior_sigma=np.array(arrays["prior_sigma"], dtype=np.float64).reshape(size),
+            clock_groups=clock_groups,
+            noise=PixelNoise(**{name: float(v) for name, v in settings["noise"].items()}),
+            image_size_px=model.image_size_px,
+            residual_px=np.empty((0, 2)),
+            standard_residual=nothing,
+            leverage=nothing,
+            outlier=np.empty(0, dtype=np.bool_),
+            starts_agreeing=int(settings["starts_agreeing"]),
+            starts=int(settings["starts"]),
+            typical_range_m=float(settings["typical_range_m"]),
+        )
+        if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
+            raise ValueError("a parameter of the camera is not a number")
+        model.n_features_in_ = 4
+        model.typical_speed_mps_ = float(settings["typical_speed_mps"])
+        model._prepare()
+        processes = [
+            ResidualProcess(
+                np.array(arrays[f"{key}.inputs"], dtype=np.float64),
+                np.array(arrays[f"{key}.targets"], dtype=np.float64),
+                np.array(arrays[f"{key}.noise"], dtype=np.float64),
+                np.array(arrays[f"{key}.group"], dtype=np.int64),
+                length_scales=tuple(settings[key]["length_scales"]),
+                hyperparameters=Hyperparameters.from_list(settings[key]["hyperparameters"]),
+                log_error=LogError(
+                    np.array(arrays[f"{key}.time"], dtype=np.float64),
+                    np.array(arrays[f"{key}.direction"], dtype=np.float64),
+                    np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
+                    model.fit_.noise.drift_m,
+                    model.fit_.noise.drift_s,
+                    model.fit_.noise.heave_m / model.camera_.height_m if key == "range" else 0.0,
+                )
+                if f"{key}.time" in arrays
+                else None,
+            )
+            if key in settings
+            else None
+            for key in ("range", "bearing")
+        ]
+        model.range_process_, model.bearing_process_ = processes
+        return model
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Boxes as the camera sees them: how far, in which direction, and how that may be off.
+
+    Attributes:
+        distance: (N,) metres.
+        sine: (N,) of the bearing.
+        cosine: (N,) of the bearing.
+        moved: (2, N) variance along and across the line of sight that the parameters make.
+        moved_mixed: (N,) the covariance of the two.
+        noise: (2, N) variance along and across that the box's noise makes.
+        noise_mixed: (N,) the covariance of the two.
+    """
+
+    distance: FloatArray
+    sine: FloatArray
+    cosine: FloatArray
+    moved: FloatArray
+    moved_mixed: FloatArray
+    noise: FloatArray
+    noise_mixed: FloatArray
+
+    def __getitem__(self, rows: BoolArray | slice) -> _Seen:
+        return _Seen(*(getattr(self, column.name)[..., rows] for column in fields(self)))
+
+
+def _turn(
+    along: FloatArray,
+    across: FloatArray,
+    mixed: FloatArray,
+    sine: FloatArray,
+    cosine: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Turn covariances from along and across the line of sight to east and north."""
+    ss, cc, sc = sine * sine, cosine * cosine, sine * cosine
+    out[:, 0, 0] = along * ss + across * cc + 2.0 * mixed * sc
+    out[:, 1, 1] = along * cc + across * ss - 2.0 * mixed * sc
+    out[:, 0, 1] = (along - across) * sc + mixed * (cc - ss)
+    out[:, 1, 0] = out[:, 0, 1]
+
+
+def _foot(boxes_xyxy_px: FloatArray) -> FloatArray:
+    """(N, 2) the middle of each lower edge, pixels."""
+    return np.stack(
+        [0.5 * (boxes_xyxy_px[:, 0] + boxes_xyxy_px[:, 2]), boxes_xyxy_px[:, 3]], axis=1
+    )
+
+
+def _rows(values: ArrayLike, width: int) -> FloatArray:
+    table = np.asarray(values, dtype=np.float64)
+    if table.size == 0:
+        return np.empty((0, width))
+    if table.ndim != 2 or table.shape[1] != width:
+        raise InputError(f"expected a table of the shape (N, {width}), got {table.shape}")
+    if not np.isfinite(table).all():
+        raise FitError("a box, a place or a pixel among the pairs is not a number")
+    return table

@@ -1,0 +1,75 @@
+"""Boxes of a target whose place is known: what every model learns from and is scored on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+
+from sightline.geodesy import LocalPlane
+from sightline.types import BoolArray, Boxes, FloatArray, StrArray
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Boxes with the place of the target at their time, one row a box.
+
+    Attributes:
+        boxes: (N,) the boxes.
+        recording: (N,) str, the name of each box's recording.
+        east_north_m: (N, 2) float64, metres in ``plane``.
+        velocity_mps: (N, 2) float64, east and north.
+        asked: How many boxes there were; those without a fix on either side do not count.
+        plane: Where the origin lies.
+        vessel: (N,) str, whose box it is, where a recording has several. Absent: one.
+        water_level_m: (N,) float64, how high the water stood above the datum. Absent: at it.
+        beside: (N,) bool, whether a box is of a source that is only to have its habits learned,
+            beside those of whoever drew. Absent: none is.
+    """
+
+    boxes: Boxes
+    recording: StrArray
+    east_north_m: FloatArray
+    velocity_mps: FloatArray
+    asked: int
+    plane: LocalPlane
+    vessel: StrArray = field(default_factory=lambda: np.empty(0, dtype=np.str_))
+    water_level_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    beside: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+
+    def __post_init__(self) -> None:
+        if self.vessel.size == 0:
+            object.__setattr__(self, "vessel", np.full(len(self.boxes), ""))
+        if self.water_level_m.size == 0:
+            object.__setattr__(self, "water_level_m", np.zeros(len(self.boxes)))
+        if self.beside.size == 0:
+            object.__setattr__(self, "beside", np.zeros(len(self.boxes), dtype=np.bool_))
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def in_plane(self, plane: LocalPlane) -> Self:
+        """The same places, east and north of another origin; velocities stay as they are.
+
+        Args:
+            plane: Not so far away that its north points elsewhere.
+        """
+        latitude, longitude = self.plane.to_geographic(*self.east_north_m.T)
+        return replace(
+            self,
+            east_north_m=np.stack(plane.to_plane(latitude, longitude), axis=1),
+            plane=plane,
+        )
+
+    def __getitem__(self, rows: Any) -> Self:
+        return replace(
+            self,
+            boxes=self.boxes[rows],
+            recording=self.recording[rows],
+            east_north_m=self.east_north_m[rows],
+            velocity_mps=self.velocity_mps[rows],
+            vessel=self.vessel[rows],
+            water_level_m=self.water_level_m[rows],
+            beside=self.beside[rows],
+        )

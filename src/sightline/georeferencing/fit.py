@@ -1,0 +1,280 @@
+"""A fit: from what was collected to a georeferencer. Nothing here reads a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sightline.camera.motion import Stance
+from sightline.camera.observations import Landmarks
+from sightline.camera.pinhole import Camera
+from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.registration import View
+from sightline.camera.rotation import Turns, reference_view
+from sightline.camera.stabilisation import level, nominal_camera
+from sightline.errors import FitError
+from sightline.geodesy import LocalPlane
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit_report import fit_report
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import (
+    DEFAULT_MODEL,
+    ModelType,
+    Observations,
+    control_landmarks,
+    model_type,
+)
+from sightline.georeferencing.support import Support
+from sightline.types import ControlPoints, FloatArray, Horizons
+
+
+@dataclass(frozen=True, eq=False)
+class FitInputs:
+    """All that a fit learns from.
+
+    Attributes:
+        correspondences: Boxes beside the places of their targets, as the camera saw them.
+        image_size_px: Width and height.
+        control_points: Pixels whose place on the earth is known.
+        position_known: Whether the camera stands at the origin of the correspondences' plane, as
+            far as one knows.
+        moving: Whether the camera is on a platform that moves; places are then starboard and ahead.
+        tidal: Whether every recording tells how high the water stood.
+        horizons: By recording, where the horizon lay in its frames; of a camera that rolls.
+        stances: By recording, how a camera that ought to stand still stood in it.
+        landmarks: Pixels whose place is known roughly.
+        asked: By recording, how many boxes there were before those without a fix on either side
+            were left out; only for the report.
+        name: Begins messages: the scene file.
+    """
+
+    correspondences: Pairs
+    image_size_px: tuple[int, int]
+    control_points: ControlPoints
+    position_known: bool = True
+    moving: bool = False
+    tidal: bool = False
+    horizons: Mapping[str, Horizons] = field(default_factory=dict)
+    stances: Mapping[str, Sequence[Stance]] = field(default_factory=dict)
+    landmarks: Landmarks = field(default_factory=Landmarks.none)
+    asked: Mapping[str, int] = field(default_factory=dict)
+    name: str = "the scene"
+
+    def without(self, recording: str) -> FitInputs:
+        """The same without one recording."""
+        pairs = self.correspondences
+        kept = pairs[pairs.recording != recording]
+        return replace(
+            self,
+            correspondences=replace(kept, asked=pairs.asked - self.asked.get(recording, 0)),
+            horizons={name: own for name, own in self.horizons.items() if name != recording},
+            stances={name: own for name, own in self.stances.items() if name != recording},
+        )
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How a model is learned.
+
+    Attributes:
+        model: Name of a model, or a model type.
+        seed: Of whatever is random in the fit.
+        prior: Of the camera. Absent: that of an ordinary one.
+        source_priors: Of the lower edge of single sources of boxes, by name.
+        water_level_m: The level that the camera's height is to be over. Absent: the median of the
+            boxes' levels, so that it is a height over the water as one sees it.
+    """
+
+    model: str | ModelType = DEFAULT_MODEL
+    seed: int = 0
+    prior: CameraPrior | None = None
+    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    water_level_m: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Knowledge:
+    """What a fit tells that prepares the data of the next; None where it has not told yet.
+
+    Attributes:
+        lens: How far a pixel turns the camera; told once there is a camera.
+        turns: By recording, how the camera lay in it against how it lies for the model.
+        origin: Where on the earth the camera stands.
+    """
+
+    lens: Camera | None = None
+    turns: Mapping[str, Turns] | None = None
+    origin: LocalPlane | None = None
+
+
+def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer:
+    """Learn a georeferencer.
+
+    What a fit tells of the camera prepares the data of the next: its lens takes swell off the
+    boxes, its focal length turns shifts of the static scene into camera rotations, whose effect is
+    compensated, and its place becomes the origin of the plane. A model of a camera that was turned
+    is one of the camera as it lay at the end. Models without a camera learn from the boxes as they
+    are.
+
+    Args:
+        inputs: What there is to learn from.
+        settings: How. Absent: `DEFAULT_MODEL`.
+
+    Raises:
+        InputError: The model's name is not known.
+        FitError: There are too few pairs, all in one place, or no camera explains them.
+    """
+    settings = settings or FitSettings()
+    kind = model_type(settings.model)
+    if not len(inputs.correspondences) and not len(inputs.control_points):
+        raise FitError(
+            f"{inputs.name}: no pairs of a box and a fix, and no control points; give a "
+            "recording boxes and fixes, or [[control_points]]"
+        )
+    horizon = _typical_horizon(list(inputs.horizons.values()))
+    view = reference_view(inputs.stances)
+    known = _Knowledge()
+    while True:
+        fitted = _fit_once(inputs, _prepared(inputs, known, horizon), kind, settings)
+        fitted = replace(fitted, horizon_px=horizon, moving=inputs.moving)
+        told = _told(fitted, inputs, known, horizon, view)
+        if told is known:
+            break
+        known = told
+    if fitted.camera is None or view is None:
+        return fitted
+    if known.turns:
+        said = (
+            f"The camera was turned: in recordings {', '.join(known.turns)} it did not always lie "
+            "as at the end. Their boxes were put where they would be if it had."
+        )
+        report = replace(fitted.report, statements=(*fitted.report.statements, said))
+        fitted = replace(fitted, report=report)
+    return replace(fitted, view=view)
+
+
+def _told(
+    fitted: Georeferencer,
+    inputs: FitInputs,
+    known: _Knowledge,
+    horizon: tuple[float, float] | None,
+    view: View | None,
+) -> _Knowledge:
+    """What is known after a fit; the same object where it told nothing of a new kind."""
+    camera = fitted.camera
+    if camera is None:
+        return known
+    told = known
+    if known.lens is None and horizon is not None:
+        told = replace(told, lens=camera)
+    if known.turns is None and view is not None:
+        turns = {
+            name: found
+            for name, own in inputs.stances.items()
+            if (found := fitted.turns(own, view)) is not None
+        }
+        if turns:
+            told = replace(told, turns=turns)
+    if known.origin is None and not inputs.position_known:
+        latitude, longitude = fitted.plane.to_geographic([camera.east_m], [camera.north_m])
+        told = replace(told, origin=LocalPlane(float(latitude[0]), float(longitude[0])))
+    return told
+
+
+def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None) -> Pairs:
+    """Correspondences as a camera would have seen them that lay as it does for the model."""
+    pairs = inputs.correspondences
+    if known.origin is not None:
+        pairs = pairs.in_plane(known.origin)
+    if horizon is not None:
+        lens = known.lens or nominal_camera(inputs.image_size_px)
+        pairs = _stabilised(pairs, inputs.horizons, horizon, lens)
+    return pairs if known.turns is None else _compensated(pairs, known.turns)
+
+
+def _stabilised(
+    pairs: Pairs,
+    horizons: Mapping[str, Horizons],
+    horizon_px: tuple[float, float],
+    lens: Camera,
+) -> Pairs:
+    """Correspondences with roll and pitch taken off; those without a horizon are left out."""
+    xyxy_px = pairs.boxes.xyxy_px.copy()
+    usable = np.ones(len(pairs), dtype=bool)
+    for name, own in horizons.items():
+        rows = np.flatnonzero(pairs.recording == name)
+        moved, known = level(pairs.boxes[rows], own, horizon_px, lens)
+        xyxy_px[rows[known]] = moved.xyxy_px
+        usable[rows] = known
+    return replace(pairs, boxes=pairs.boxes.with_columns(xyxy_px=xyxy_px))[usable]
+
+
+def _compensated(pairs: Pairs, turns: Mapping[str, Turns]) -> Pairs:
+    """Correspondences with the turns of their recordings taken off their boxes."""
+    xyxy_px = pairs.boxes.xyxy_px.copy()
+    usable = np.ones(len(pairs), dtype=bool)
+    for name, own in turns.items():
+        rows = np.flatnonzero(pairs.recording == name)
+        moved, known = own.moved(pairs.boxes[rows])
+        xyxy_px[rows[known]] = moved[known]
+        usable[rows] = known
+    return replace(pairs, boxes=pairs.boxes.with_columns(xyxy_px=xyxy_px))[usable]
+
+
+def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None:
+    """Where the horizon lies in the middle of all that the camera did."""
+    if not sum(map(len, horizons)):
+        return None
+    left = np.concatenate([one.left_y_px for one in horizons])
+    right = np.concatenate([one.right_y_px for one in horizons])
+    return float(np.median(left)), float(np.median(right))
+
+
+def _fit_once(
+    inputs: FitInputs, pairs: Pairs, kind: ModelType, settings: FitSettings
+) -> Georeferencer:
+    control = inputs.control_points
+    east_north_m = np.stack(
+        pairs.plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1
+    )
+    level_m = settings.water_level_m
+    if level_m is None and inputs.tidal and len(pairs):
+        level_m = float(np.median(pairs.water_level_m))
+    above_m = pairs.water_level_m - (level_m or 0.0)
+    model = kind.fit(
+        Observations(
+            correspondences=pairs,
+            image_size_px=inputs.image_size_px,
+            control_points=control_landmarks(control.pixel_px, east_north_m),
+            landmarks=inputs.landmarks,
+            above_m=above_m,
+            # That the origin is where a fit put the camera is no knowledge of where it stands.
+            position_known=inputs.position_known,
+            moving=inputs.moving,
+            tidal=level_m is not None,
+            prior=settings.prior,
+            source_priors=settings.source_priors,
+        ),
+        seed=settings.seed,
+    )
+    has_camera = model.camera is not None
+    boxes = pairs.boxes.xyxy_px
+    placed = model.locate(boxes, pairs.boxes.source, above_m)
+    report = fit_report(kind.name, model, pairs, placed.east_north_m, len(control))
+    if level_m is not None and has_camera:
+        said = f"The height of the camera is that over a water level of {level_m:.2f} m."
+        report = replace(report, statements=(*report.statements, said))
+    foot: FloatArray = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
+    return Georeferencer(
+        model=kind.name,
+        regressor=model,
+        plane=pairs.plane,
+        image_size_px=inputs.image_size_px,
+        support=Support.of(
+            np.concatenate([foot, control.pixel_px]) if has_camera else foot, inputs.image_size_px
+        ),
+        report=report,
+        water_level_m=level_m if has_camera else None,
+    )

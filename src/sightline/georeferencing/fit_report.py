@@ -1,0 +1,307 @@
+"""What is to be known of a fit: parameters, biases, residuals, and sentences for people."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sightline.camera.pinhole import PARAMETERS
+from sightline.camera.priors import FIRST_SOURCE, TARGET_PARAMETERS
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.models import BoxModel
+from sightline.types import BoolArray, FloatArray
+
+_UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown of the camera or the target as the fit found it.
+
+    Attributes:
+        name: As in `PARAMETERS`, then `TARGET_PARAMETERS` where there were boxes.
+        value: In ``unit``.
+        sigma: Standard deviation, in ``unit``.
+        unit: ``"m"``, ``"degrees"``, ``"px"`` or ``""``.
+        determined: Whether data, and not belief, says what it is.
+    """
+
+    name: str
+    value: float
+    sigma: float
+    unit: str
+    determined: bool
+
+
+@dataclass(frozen=True)
+class SourceBias:
+    """The habit of a source of boxes at the lower edge.
+
+    Attributes:
+        name: Of the annotator or detector.
+        n: Boxes of it in the fit.
+        bias_px: How many pixels too low its lower edges lie, whatever the range.
+        bias_m: At what height above the water or road its lower edges lie, metres; negative is
+            too low.
+        sigma_px: Standard deviation of ``bias_px``.
+        sigma_m: Standard deviation of ``bias_m``.
+    """
+
+    name: str
+    n: int
+    bias_px: float
+    bias_m: float
+    sigma_px: float
+    sigma_m: float
+
+
+@dataclass(frozen=True)
+class FittedBox:
+    """One box of the fit: what is left of it, and how much hangs on it.
+
+    Attributes:
+        recording: Its recording.
+        frame: Its frame, -1 if it had none.
+        source: Who made it.
+        error_m: Between the model's place and the log's.
+        residual_px: Between its foot and where the camera expects it, pixels; NaN where the model
+            has no camera.
+        leverage: How much of the fit hangs on it, NaN where the model does not tell.
+        outlier: Whether the fit took it for one.
+    """
+
+    recording: str
+    frame: int
+    source: str
+    error_m: float
+    residual_px: float
+    leverage: float
+    outlier: bool
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What is to be known about a fit.
+
+    Attributes:
+        model: Name of the model.
+        n: Pairs that it learned from.
+        asked: Boxes that there were.
+        control_points: Control points that it learned from.
+        recordings: Their names.
+        rmse_m: Root mean square error of the pairs themselves, metres.
+        median_m: Median error of the pairs themselves, metres.
+        parameters: Of the camera; none for the paper's models.
+        sources: Of the boxes; none for the paper's models.
+        clock_offset_s: By recording, how far its clock is to be moved on to agree with the log.
+        boxes: One a pair.
+        statements: Sentences for people: what could not be determined, what stands out.
+    """
+
+    model: str
+    n: int
+    asked: int
+    control_points: int
+    recordings: tuple[str, ...]
+    rmse_m: float
+    median_m: float
+    parameters: tuple[Parameter, ...] = ()
+    sources: tuple[SourceBias, ...] = ()
+    clock_offset_s: dict[str, float] = field(default_factory=dict)
+    boxes: tuple[FittedBox, ...] = ()
+    statements: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON can hold it; numbers that are none become None."""
+        content: dict[str, Any] = _jsonable(asdict(self))
+        return content
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> FitReport:
+        """What `to_dict` wrote.
+
+        Raises:
+            LookupError: A field is missing.
+            TypeError: There are others than there should be.
+        """
+
+        def number(value: Any) -> float:
+            return float("nan") if value is None else float(value)
+
+        fields = dict(content)
+        fields["rmse_m"], fields["median_m"] = number(fields["rmse_m"]), number(fields["median_m"])
+        fields["recordings"] = tuple(fields["recordings"])
+        fields["statements"] = tuple(fields["statements"])
+        fields["parameters"] = tuple(Parameter(**p) for p in fields["parameters"])
+        fields["sources"] = tuple(SourceBias(**s) for s in fields["sources"])
+        fields["boxes"] = tuple(
+            FittedBox(**{**b, **{k: number(b[k]) for k in ("error_m", "residual_px", "leverage")}})
+            for b in fields["boxes"]
+        )
+        return cls(**fields)
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(v) for v in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def fit_report(
+    model: str,
+    regressor: BoxModel,
+    pairs: Pairs,
+    places: FloatArray,
+    control_points: int,
+) -> FitReport:
+    """The report of a fit.
+
+    Args:
+        model: Name of the model.
+        regressor: Fitted.
+        pairs: What it learned from.
+        places: (N, 2) metres east and north, where it puts their boxes.
+        control_points: How many it learned from.
+    """
+    error = np.hypot(*(places - pairs.east_north_m).T)
+    n = len(pairs)
+    leverage, outlier = np.full(n, np.nan), np.zeros(n, dtype=bool)
+    residual = np.full(n, np.nan)
+    more: dict[str, Any] = {}
+    if isinstance(regressor, CameraRegressor):
+        leverage, outlier = regressor.fit_.leverage[:n], regressor.fit_.outlier[:n]
+        residual = np.hypot(*regressor.fit_.residual_px[:n].T)
+        more = _camera_report(regressor, pairs, control_points, outlier)
+    return FitReport(
+        model=model,
+        n=n,
+        asked=pairs.asked,
+        control_points=control_points if more else 0,
+        recordings=tuple(str(name) for name in np.unique(pairs.recording)),
+        rmse_m=float(np.sqrt(np.nanmean(error**2))) if n else float("nan"),
+        median_m=float(np.nanmedian(error)) if n else float("nan"),
+        boxes=tuple(
+            FittedBox(
+                recording=str(pairs.recording[i]),
+                frame=int(pairs.boxes.frame[i]),
+                source=str(pairs.boxes.source[i]),
+                error_m=float(error[i]),
+                residual_px=float(residual[i]),
+                leverage=float(leverage[i]),
+                outlier=bool(outlier[i]),
+            )
+            for i in range(n)
+        ),
+        **more,
+    )
+
+
+def _camera_report(
+    regressor: CameraRegressor, pairs: Pairs, control_points: int, outlier: BoolArray
+) -> dict[str, Any]:
+    fitted = regressor.fit_
+    camera, determined = fitted.camera, fitted.determined()
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    parameters = []
+    for i, name in enumerate(PARAMETERS):
+        value = float(getattr(camera, name))
+        scale = {"height_m": value, "focal_px": value}.get(
+            name, np.degrees(1.0) if name.endswith("_deg") else 1.0
+        )
+        unit = next((u for end, u in _UNITS.items() if name.endswith(end)), "")
+        parameters.append(
+            Parameter(name, value, float(sigma[i] * scale), unit, bool(determined[i]))
+        )
+    if len(pairs):
+        known = fitted.target_determined()
+        for i, name in enumerate(TARGET_PARAMETERS):
+            at = len(PARAMETERS) + i
+            value = float(fitted.vector[at])
+            parameters.append(Parameter(name, value, float(sigma[at]), "m", bool(known[i])))
+    sources = []
+    for i, name in enumerate(regressor.sources_):
+        at = FIRST_SOURCE + 2 * i
+        sources.append(
+            SourceBias(
+                name=name,
+                n=int(np.sum(pairs.boxes.source == name)),
+                bias_px=float(fitted.vector[at]),
+                bias_m=float(fitted.vector[at + 1]),
+                sigma_px=float(sigma[at]),
+                sigma_m=float(sigma[at + 1]),
+            )
+        )
+    names = np.unique(pairs.recording)
+    clocks = {
+        str(names[group]): float(offset)
+        for group, offset in zip(fitted.clock_groups, fitted.clock_offset_s, strict=True)
+    }
+    return {
+        "parameters": tuple(parameters),
+        "sources": tuple(sources),
+        "clock_offset_s": clocks,
+        "statements": _statements(parameters, fitted, pairs, control_points, outlier),
+    }
+
+
+def _statements(
+    parameters: list[Parameter],
+    fitted: Any,
+    pairs: Pairs,
+    control_points: int,
+    outlier: BoolArray,
+) -> tuple[str, ...]:
+    out = []
+    unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
+    if unknown:
+        out.append(
+            f"The data does not determine {', '.join(unknown)}: what is assumed of an ordinary "
+            "camera decides, and positions away from the training boxes are as unsure as stated."
+        )
+    if fitted.noise.heave_m > 0.0:
+        share = fitted.noise.heave_m / fitted.camera.height_m
+        out.append(
+            f"The camera rises and falls by {fitted.noise.heave_m:.2f} m (standard deviation), and "
+            f"with it all ranges by {100.0 * share:.1f} %; the ellipses answer for it."
+        )
+    if fitted.starts_agreeing < 0.5 * fitted.starts:
+        out.append(
+            f"Only {fitted.starts_agreeing} of {fitted.starts} starts ended at this camera; "
+            "another may explain the data as well."
+        )
+    if outlier.any():
+        where = ", ".join(
+            f"{pairs.recording[i]}/{pairs.boxes.frame[i]}" for i in np.flatnonzero(outlier)[:5]
+        )
+        out.append(
+            f"{int(outlier.sum())} of {len(pairs)} boxes disagree with all others and count "
+            f"little (recording/frame {where})."
+        )
+    heavy = fitted.leverage.max(initial=0.0)
+    if heavy > 1.5 and len(pairs) + control_points > 8:
+        out.append(
+            f"A single box carries {heavy:.1f} parameters of the fit; more boxes near it would "
+            "make the camera surer."
+        )
+    late = {
+        str(name): offset
+        for name, offset in zip(
+            np.unique(pairs.recording)[fitted.clock_groups] if len(pairs) else [],
+            fitted.clock_offset_s,
+            strict=True,
+        )
+        if abs(offset) > 1.0
+    }
+    for name, offset in late.items():
+        out.append(
+            f"The clock of recording {name} seems {abs(offset):.1f} s "
+            f"{'behind' if offset > 0 else 'ahead of'} the log."
+        )
+    return tuple(out)

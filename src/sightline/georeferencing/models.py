@@ -1,0 +1,226 @@
+"""The models that place boxes: the seam, and the known ones by name.
+
+A model type is looked up by name, among ours, the paper's, and those that other packages register
+as entry points of the group ``sightline.models``; or it is handed in as an object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from sightline._plugins import registered
+from sightline.camera.calibration import CameraFit
+from sightline.camera.observations import Landmarks
+from sightline.camera.pinhole import Camera
+from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.errors import InputError, unknown_name
+from sightline.georeferencing.camera_regressor import CONTROL_POINT_SIGMA_M, CameraRegressor
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.paper.estimator import Arrays, Settings
+from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel, paper_model
+from sightline.georeferencing.placement import Placement
+from sightline.types import FloatArray, StrArray
+from sightline.water import LEVEL_SIGMA_M
+
+MODELS = (*PAPER_MODELS, "camera", "camera+gpr")
+"""The names of the models that ship: the paper's five, and ours."""
+
+DEFAULT_MODEL = "camera+gpr"
+
+ENTRY_POINT_GROUP = "sightline.models"
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What a model learns from: boxes beside the places of their targets, and fixed points.
+
+    Attributes:
+        correspondences: Boxes with places, one row a box; boxes as a camera sees them that lies as
+            it did for the model.
+        image_size_px: Width and height.
+        control_points: Pixels whose place is known well.
+        landmarks: Pixels whose place is known roughly.
+        above_m: (N,) how high the water stood at each box above the plane that the camera's height
+            is over.
+        position_known: Whether the camera stands at the origin of the plane, as far as one knows.
+        moving: Whether the camera is on a platform that moves; places are then starboard and ahead.
+        tidal: Whether water levels were told.
+        prior: Of the camera. Absent: that of an ordinary one.
+        source_priors: Of the lower edge of single sources of boxes, by name.
+    """
+
+    correspondences: Pairs
+    image_size_px: tuple[int, int]
+    control_points: Landmarks
+    landmarks: Landmarks
+    above_m: FloatArray
+    position_known: bool = True
+    moving: bool = False
+    tidal: bool = False
+    prior: CameraPrior | None = None
+    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+
+
+class BoxModel(Protocol):
+    """A fitted model: boxes in, places in metres with covariance out."""
+
+    @property
+    def camera(self) -> Camera | None:
+        """The camera, where the model has one."""
+        ...
+
+    @property
+    def camera_fit(self) -> CameraFit | None:
+        """How well the camera is known, where the model has one."""
+        ...
+
+    @property
+    def reference_sigma_m(self) -> float:
+        """Lasting error of the logs that it learned from, metres; 0 where it cannot tell."""
+        ...
+
+    def locate(
+        self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
+    ) -> Placement:
+        """Places of boxes.
+
+        Args:
+            boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
+            source: (N,) or () str, who made the boxes; None: nobody says.
+            above_m: (N,) or () float64, how high the water stands above the plane that the camera's
+                height is over, metres.
+        """
+        ...
+
+    def state(self) -> tuple[Arrays, Settings]:
+        """What `ModelType.load` needs to place boxes the same."""
+        ...
+
+
+class ModelType(Protocol):
+    """Learns models of one kind, and reads them back."""
+
+    @property
+    def name(self) -> str:
+        """As `fit` and model files have it."""
+        ...
+
+    def fit(self, observations: Observations, *, seed: int = 0) -> BoxModel:
+        """Learn a model.
+
+        Args:
+            observations: What there is to learn from.
+            seed: Of whatever is random.
+
+        Raises:
+            FitError: There is too little.
+        """
+        ...
+
+    def load(self, arrays: Arrays, settings: Settings) -> BoxModel:
+        """The model that `BoxModel.state` described; raises where a part is missing or damaged."""
+        ...
+
+
+@dataclass(frozen=True)
+class PaperModelType:
+    """The paper's models; see `PaperModel`. They learn from boxes alone."""
+
+    name: str
+
+    def fit(self, observations: Observations, *, seed: int = 0) -> PaperModel:
+        """See `ModelType`."""
+        pairs = observations.correspondences
+        return paper_model(self.name, seed=seed).fit(
+            pairs.boxes.xyxy_px, pairs.east_north_m, image_size_px=observations.image_size_px
+        )
+
+    def load(self, arrays: Arrays, settings: Settings) -> PaperModel:
+        """See `ModelType`."""
+        return PaperModel.from_state(arrays, settings)
+
+
+@dataclass(frozen=True)
+class CameraModelType:
+    """The unknown camera, with or without a Gaussian process on its residual.
+
+    Attributes:
+        name: Of the model.
+        residual: Whether the residual is learned.
+    """
+
+    name: str
+    residual: bool
+
+    def fit(self, observations: Observations, *, seed: int = 0) -> CameraRegressor:
+        """See `ModelType`."""
+        pairs = observations.correspondences
+        control, far = observations.control_points, observations.landmarks
+        return CameraRegressor(
+            observations.image_size_px,
+            # On a vessel the waves that lift the camera while a target passes a place would be
+            # learned as of the place.
+            residual=self.residual and not observations.moving,
+            prior=observations.prior,
+            position_known=observations.position_known,
+            heaving=observations.moving,
+            starts=8 if observations.position_known else 24,
+            random_state=seed,
+            above_sigma_m=LEVEL_SIGMA_M if observations.tidal else 0.0,
+        ).fit(
+            pairs.boxes.xyxy_px,
+            pairs.east_north_m,
+            source=pairs.boxes.source,
+            group=pairs.recording,
+            vessel=pairs.vessel,
+            velocity_mps=pairs.velocity_mps,
+            time_s=pairs.boxes.time_utc_s,
+            above_m=observations.above_m,
+            beside=pairs.beside,
+            control_px=np.concatenate([control.pixel_px, far.pixel_px]),
+            control_east_north_m=np.concatenate([control.east_north_m, far.east_north_m]),
+            control_sigma_m=np.concatenate([control.sigma_m, far.sigma_m]),
+            beliefs=observations.source_priors,
+        )
+
+    def load(self, arrays: Arrays, settings: Settings) -> CameraRegressor:
+        """See `ModelType`."""
+        return CameraRegressor.from_state(arrays, settings)
+
+
+def control_landmarks(pixel_px: FloatArray, east_north_m: FloatArray) -> Landmarks:
+    """Control points with how far off each may lie: read off an aerial picture, or surveyed."""
+    return Landmarks(pixel_px, east_north_m, np.full(len(pixel_px), CONTROL_POINT_SIGMA_M))
+
+
+def model_type(model: str | ModelType) -> ModelType:
+    """A model type by its name, or one's own as it is.
+
+    Args:
+        model: One of `MODELS`, a name that another package registers under the entry point group
+            ``sightline.models``, or an object.
+
+    Raises:
+        InputError: The name is not known; the message lists those that are.
+    """
+    if not isinstance(model, str):
+        return model
+    if model in PAPER_MODELS:
+        return PaperModelType(model)
+    if model in MODELS:
+        return CameraModelType(model, residual=model == "camera+gpr")
+    others = registered(ENTRY_POINT_GROUP)
+    if model not in others:
+        raise unknown_name("model", model, (*MODELS, *sorted(others)))
+    found: ModelType = others[model].load()
+    for needed in ("name", "fit", "load"):
+        if not hasattr(found, needed):
+            raise InputError(
+                f"model {model!r}: what {others[model].value} names has no {needed!r}; an entry "
+                f"point of {ENTRY_POINT_GROUP} names an object with name, fit and load"
+            )
+    return found

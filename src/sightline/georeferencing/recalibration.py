@@ -1,0 +1,276 @@
+"""Whether a camera still stands as it did when its model was fitted.
+
+Where pictures show what the model's view shows, they tell; see `sightline.camera.rotation`.
+Elsewhere boxes and a log do.
+A camera that was bumped shows as a shift of all that it sees: columns say by how much its heading
+changed, rows its pitch, and their slope across the picture its roll. The shift is estimated against
+the model, with the model's noise, and again over time (a likelihood ratio over all moments at which
+it may have happened; Page 1954, Hinkley 1970).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sightline.camera.motion import Stance
+from sightline.camera.pinhole import project_with_jacobian
+from sightline.camera.priors import CameraPrior
+from sightline.camera.rotation import seen_again
+from sightline.errors import InputError
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.types import FloatArray
+
+_TURNS = (3, 1, 2)
+_SURE = 6.0
+_LEAST_DEG = 0.15
+_FEWEST = 4
+_HUBER = 3.0
+# A camera is turned by a degree or so, not by ten.
+_MOST_DEG = 3.0
+
+
+@dataclass(frozen=True)
+class Moved:
+    """How a camera was turned since its model was fitted.
+
+    Attributes:
+        recording: In which recording it shows.
+        since_utc_s: From when on; the recording's first box where it was turned before.
+        heading_deg: To the right.
+        pitch_deg: Downwards.
+        roll_deg: The right end of the horizon downwards.
+        sigma_deg: Standard deviations of the three.
+        gain: By how much likelier the boxes are with the turn than without it, in nats.
+    """
+
+    recording: str
+    since_utc_s: float
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+    sigma_deg: tuple[float, float, float]
+    gain: float
+
+    @property
+    def angles(self) -> str:
+        """The three in words."""
+        return (
+            f"{self.heading_deg:+.2f} degrees in heading, {self.pitch_deg:+.2f} in pitch and "
+            f"{self.roll_deg:+.2f} in roll"
+        )
+
+
+@dataclass(frozen=True)
+class Since:
+    """What a new day says of how the camera of a model lies now.
+
+    Attributes:
+        turned: Whether it no longer lies as for the model.
+        statements: What is known of it, in words.
+    """
+
+    turned: bool
+    statements: tuple[str, ...]
+
+
+def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> CameraPrior:
+    """What a model believes of its camera, as beliefs before a new day.
+
+    Args:
+        model: With a camera.
+        turned: Whether the camera was turned since, so that its pitch and roll tell nothing.
+        inflation: By how much standard deviations grow: a model is surer of itself than it ought.
+
+    Raises:
+        InputError: The model has no camera.
+    """
+    camera = model.camera
+    if camera is None:
+        raise InputError(f"model {model.model!r} has no camera, so it cannot be updated")
+    fit = model.regressor.camera_fit
+    assert fit is not None, "a model with a camera knows how well"
+    sigma = inflation * np.sqrt(np.diag(fit.covariance))
+    usual = CameraPrior()
+    prior = replace(
+        usual,
+        height_m=camera.height_m,
+        height_log_sigma=min(float(sigma[0]), usual.height_log_sigma),
+        focal_widths=camera.focal_px / model.image_size_px[0],
+        focal_log_sigma=min(float(sigma[4]), usual.focal_log_sigma),
+    )
+    if turned:
+        return prior
+    pitch, roll = np.degrees(sigma[1:3]).tolist()
+    return replace(prior, pitch_deg=(camera.pitch_deg, pitch), roll_deg=(camera.roll_deg, roll))
+
+
+def lies_since(
+    model: Georeferencer, pairs: Pairs, stances: Mapping[str, Sequence[Stance]]
+) -> Since:
+    """Whether a camera was turned since its model was fitted.
+
+    Pictures tell it where they show what the model's view shows, to some hundredths of a degree;
+    boxes and the log tell it elsewhere.
+
+    Args:
+        model: With a camera.
+        pairs: Boxes and places of a new day, in the model's plane.
+        stances: How the camera stood in the new day's recordings, by their names.
+
+    Raises:
+        InputError: The model has no camera.
+    """
+    by_boxes = {moved.recording: moved for moved in moved_since(model, pairs)}
+    camera, view = model.camera, model.view
+    assert camera is not None, "refused by `moved_since`"
+    seen = {
+        name: own
+        for name, own in stances.items()
+        if own and view is not None and seen_again(view, own[0].view, camera)
+    }
+    said = []
+    by_pictures = False
+    for name, own in seen.items():
+        turns = model.turns(own)
+        if turns is not None:
+            by_pictures = True
+            said.append(
+                f"The camera was turned: in recording {name}, by its pictures, "
+                f"{' '.join(turns.sentences())}"
+            )
+    for name, moved in by_boxes.items():
+        if name not in seen:
+            said.append(
+                f"The camera was turned: from recording {name} on by {moved.angles} against the "
+                f"old model, by its boxes ({moved.gain:.0f} nats)."
+            )
+        elif model.turns(seen[name]) is None:
+            said.append(
+                f"The boxes of recording {name} lie as if the camera were turned by "
+                f"{moved.angles}, and its pictures show that it is not: it may have been raised, "
+                "lowered or put elsewhere, or the log is off."
+            )
+    if not said:
+        what = "pictures" if seen else "boxes"
+        said = [
+            f"The camera stands as it did when the old model was fitted, as far as the {what} tell."
+        ]
+    return Since(turned=by_pictures or bool(by_boxes), statements=tuple(said))
+
+
+def moved_since(model: Georeferencer, pairs: Pairs, *, alike_s: float = 2.0) -> tuple[Moved, ...]:
+    """Where boxes say that the camera was turned; nothing where it was not.
+
+    Args:
+        model: With a camera.
+        pairs: Boxes and places of a new day, in the model's plane.
+        alike_s: Boxes nearer in time than this have errors in common, and count as one.
+
+    Raises:
+        InputError: The model has no camera.
+    """
+    camera = model.camera
+    if camera is None:
+        raise InputError(f"model {model.model!r} has no camera, so nothing tells whether it moved")
+    out = []
+    for name in np.unique(pairs.recording):
+        rows = np.flatnonzero(pairs.recording == name)
+        rows = rows[np.argsort(pairs.boxes.time_utc_s[rows], kind="stable")]
+        if rows.size < _FEWEST:
+            continue
+        found = _turn(model, pairs[rows], str(name), alike_s)
+        if found is not None:
+            out.append(found)
+    return tuple(out)
+
+
+def _turn(model: Georeferencer, pairs: Pairs, name: str, alike_s: float) -> Moved | None:
+    residual, jacobian, sigma, time_s = _residuals(model, pairs)
+    standard = residual / sigma
+    assert model.camera is not None, "the caller has looked"
+    camera_px = model.camera.focal_px
+    # Boxes far off are no vessel's; they must not turn the camera.
+    most = 6.0 + np.radians(_MOST_DEG) * camera_px / sigma
+    keep = (np.abs(standard) < most).all(axis=1)
+    residual, jacobian, sigma, time_s = (a[keep] for a in (residual, jacobian, sigma, time_s))
+    if time_s.size < _FEWEST:
+        return None
+    apart = np.maximum(np.median(np.diff(time_s)), 1e-3)
+    weight = min(float(apart) / alike_s, 1.0) if time_s.size > 1 else 1.0
+    best: tuple[float, int, FloatArray, FloatArray] | None = None
+    for first in range(time_s.size - _FEWEST + 1):
+        a = (jacobian[first:] / sigma[first:, :, None]).reshape(-1, 3)
+        b = (residual[first:] / sigma[first:]).reshape(-1)
+        left = b - np.median(b.reshape(-1, 2), axis=0)[np.arange(b.size) % 2]
+        for _ in range(3):
+            thin = weight * np.minimum(1.0, _HUBER / np.maximum(np.abs(left), 1e-9))
+            normal = a.T @ (a * thin[:, None]) + np.eye(3) / np.radians(_MOST_DEG) ** 2
+            turn = np.linalg.solve(normal, a.T @ (b * thin))
+            left = b - a @ turn
+        gain = weight * float(np.sum(_huber(b) - _huber(left)))
+        if best is None or gain > best[0]:
+            best = (gain, first, turn, np.linalg.inv(normal))
+    assert best is not None, "there are enough boxes"
+    gain, first, turn, covariance = best
+    # The moment was chosen among so many.
+    gain -= float(np.log(time_s.size))
+    degrees = np.degrees(turn)
+    if gain < _SURE or np.abs(degrees).max() < _LEAST_DEG:
+        return None
+    spread = np.degrees(np.sqrt(np.diag(covariance)))
+    return Moved(
+        recording=name,
+        since_utc_s=float(time_s[first]),
+        heading_deg=float(degrees[0]),
+        pitch_deg=float(degrees[1]),
+        roll_deg=float(degrees[2]),
+        sigma_deg=(float(spread[0]), float(spread[1]), float(spread[2])),
+        gain=gain,
+    )
+
+
+def _huber(standard: FloatArray) -> FloatArray:
+    size = np.abs(standard)
+    return np.where(size < _HUBER, 0.5 * size**2, _HUBER * (size - 0.5 * _HUBER))
+
+
+def _residuals(
+    model: Georeferencer, pairs: Pairs
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Seen minus expected feet, by the turns (N, 2, 3), their spread (N, 2), and times."""
+    regressor = model.calibrated
+    assert regressor is not None, "the caller has looked"
+    fit = regressor.fit_
+    camera = fit.camera
+    vector = camera.to_vector()
+    size = model.image_size_px
+    place = pairs.east_north_m
+    above = model.above_m(pairs.water_level_m if model.water_level_m is not None else None)
+    pixel, by_parameter, by_point = project_with_jacobian(
+        vector, size, place[:, 0], place[:, 1], above
+    )
+    boxes = pairs.boxes.xyxy_px
+    foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
+    bias = np.array([regressor.bias(str(s))[0] for s in pairs.boxes.source]).reshape(-1, 2)
+    foot[:, 1] -= bias[:, 0]
+    residual = foot - pixel - by_point[:, :, 2] * bias[:, 1:]
+    slant2 = np.sum((place - vector[7:9]) ** 2, axis=1) + camera.height_m**2
+    column, row = fit.noise.variances_px2(camera.focal_px**2 / slant2)
+    per_metre = np.hypot(by_point[:, :, 0], by_point[:, :, 1])
+    # What the model itself does not know of where it points is no turn.
+    own = by_parameter @ fit.covariance[:9, :9]
+    unsure = np.einsum("nij,nij->ni", own, by_parameter)
+    late = np.einsum("nij,nj->ni", by_point[:, :, :2], pairs.velocity_mps) * 0.5
+    hull = 1.5 * per_metre
+    variance = np.stack([column, row], axis=1) + unsure + late**2 + hull**2
+    variance += (fit.noise.place_m * per_metre) ** 2
+    return (
+        residual,
+        by_parameter[:, :, list(_TURNS)],
+        np.sqrt(variance),
+        np.asarray(pairs.boxes.time_utc_s),
+    )

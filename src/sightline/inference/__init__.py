@@ -1,1 +1,0 @@
-"""Stage 3: a box in, a place on the earth out."""

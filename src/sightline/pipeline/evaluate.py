@@ -1,0 +1,287 @@
+"""How far a model's positions and tracks are from the logs of a scene."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from sightline import formats
+from sightline.errors import FitError, InputError
+from sightline.evaluation.comparison import Comparison
+from sightline.evaluation.forecast import forecast_errors
+from sightline.evaluation.metrics import ScoredPairs, pair_positions, pair_track
+from sightline.evaluation.report import Report, evaluate_tracks, summarise
+from sightline.georeferencing.fit import FitSettings
+from sightline.georeferencing.fit import fit as fit_inputs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import DEFAULT_MODEL, MODELS, ModelType, model_type
+from sightline.georeferencing.paper.model import PAPER_MODELS
+from sightline.pipeline.camera_state import recording_conditions
+from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.track import (
+    DEFAULT_TRAJECTORY,
+    TrackSettings,
+    check_platform,
+    smooth_boxes,
+    states,
+)
+from sightline.platform import Platform
+from sightline.progress import Progress
+from sightline.scene import Scene
+from sightline.scene.camera_state import scene_horizons
+from sightline.scene.correspondences import collect
+from sightline.tracks import Tracks
+from sightline.trajectory import method
+from sightline.trajectory.forecast import MotionModel, MotionState
+from sightline.types import Boxes, Fixes, Track
+
+
+def evaluate(
+    what: Tracks | Iterable[Track] | Scene | str | os.PathLike[str],
+    *,
+    fixes: Fixes | str | os.PathLike[str] | None = None,
+    model: Georeferencer | None = None,
+    smooth: bool = False,
+    trajectory: str = DEFAULT_TRAJECTORY,
+    track_id: int | None = None,
+    mmsi: int | None = None,
+    delta_s: float = 1.0,
+) -> Report:
+    """How far tracks are from a log, or a model from a scene's boxes and logs.
+
+    Args:
+        what: Tracks, or a scene; or the file of either.
+        fixes: The log, for tracks.
+        model: For a scene.
+        smooth: For a scene: score the trajectories made of the boxes, at the boxes' times.
+        trajectory: The method of ``smooth``.
+        track_id: Which track is the target; absent: the nearest to the log.
+        mmsi: Which vessel of an AIS log.
+        delta_s: The time of the relative error, seconds.
+
+    Raises:
+        InputError: Something is missing, or nothing can be compared.
+    """
+    if isinstance(what, str | os.PathLike):
+        path = Path(what)
+        what = Scene.load(path) if path.suffix.lower() == ".toml" else Tracks.read(path)
+    if isinstance(what, Scene):
+        if model is None:
+            raise InputError("a scene is scored with a model; give the model")
+        placed = place_boxes(what, lambda _: model)
+        report = score(placed, trajectory if smooth else None, delta_s=delta_s)
+        return with_forecasts(report, placed)
+    if fixes is None:
+        raise InputError("tracks are scored against a log; give fixes")
+    log = fixes if isinstance(fixes, Fixes) else formats.read_fixes(fixes, mmsi=mmsi)
+    return evaluate_tracks(what, log, track_id=track_id, delta_s=delta_s)
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The target's boxes in one recording, where a model puts them, and its log.
+
+    Attributes:
+        recording: Its name.
+        boxes: With their times.
+        model: That placed them.
+        fixes: The log.
+        platform: What the camera stands on, where that moves.
+        conditions: How the camera lay, and how high the water stood; the boxes are levelled.
+    """
+
+    recording: str
+    boxes: Boxes
+    model: Georeferencer
+    fixes: Fixes
+    platform: Platform | None = None
+    conditions: Conditions = field(default_factory=Conditions)
+
+    def single(self) -> ScoredPairs:
+        """Each box by itself beside the log."""
+        positions = self.conditions.locate(self.boxes, self.model, self.platform)
+        return pair_positions(
+            self.boxes.time_utc_s,
+            positions,
+            self.fixes,
+            platform=self.platform,
+            log_sigma_m=self.model.log_sigma_m,
+        )
+
+    def track(self, trajectory: str) -> Track | None:
+        """The trajectory of the boxes, at their times."""
+        settings = TrackSettings(trajectory=trajectory)
+        return smooth_boxes(
+            self.boxes,
+            self.model,
+            method(trajectory),
+            settings,
+            track_id=1,
+            platform=self.platform,
+            conditions=self.conditions,
+        )
+
+    def states(self, motion: MotionModel | None = None) -> MotionState | None:
+        """What was known of the target at each box, by that and those before.
+
+        None where no box has a place.
+
+        Args:
+            motion: How targets move. Absent: as vessels do.
+        """
+        return states(self.boxes, self.model, self.platform, self.conditions, motion=motion)
+
+
+def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
+    """The boxes of all recordings that have boxes and a log, each with its model.
+
+    Args:
+        scene: The scene.
+        model_for: From a recording's name to the model that is to place its boxes.
+
+    Raises:
+        InputError: No recording has both.
+    """
+    placed = []
+    for recording in scene.recordings:
+        if recording.boxes_path is None or recording.fixes_path is None:
+            continue
+        model, platform = model_for(recording.name), recording.platform()
+        check_platform(model, platform, f"recording {recording.name}: ")
+        conditions = recording_conditions(recording, model, watched=scene.camera.watched)
+        boxes = conditions.level(model.level(recording.boxes(), scene_horizons(recording)))
+        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform, conditions))
+    if not placed:
+        raise InputError(
+            f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"
+        )
+    return placed
+
+
+def score(
+    placed: Sequence[Placed], trajectory: str | None = None, *, delta_s: float = 1.0
+) -> Report:
+    """The report of placed boxes, single or as trajectories.
+
+    Recordings of which no box falls into the log are left out.
+
+    Raises:
+        InputError: No box falls into a log.
+    """
+    parts: dict[str, ScoredPairs] = {}
+    for one in placed:
+        if trajectory is None:
+            pairs = one.single()
+        else:
+            made = one.track(trajectory)
+            if made is None:
+                continue
+            pairs = pair_track(
+                made, one.fixes, platform=one.platform, log_sigma_m=one.model.log_sigma_m
+            )
+        if len(pairs):
+            parts[one.recording] = pairs
+    if not parts:
+        raise InputError(
+            "no box falls between two fixes of its log that are near enough to each other; check "
+            "the clocks and the log"
+        )
+    return summarise(parts, delta_s=delta_s)
+
+
+def with_forecasts(report: Report, placed: Sequence[Placed]) -> Report:
+    """A report of placed boxes with the errors of the forecasts made from them.
+
+    Args:
+        report: Of these boxes.
+        placed: Each is taken for one target.
+    """
+    targets = {
+        one.recording: (states, one.fixes)
+        for one in placed
+        if one.recording in report.recordings and (states := one.states()) is not None
+    }
+    parts = {
+        name: replace(part, forecast=forecast_errors([targets[name]] if name in targets else []))
+        for name, part in report.recordings.items()
+    }
+    return replace(report, forecast=forecast_errors(targets.values()), recordings=parts)
+
+
+def leave_one_out(
+    scene: Scene,
+    model: str | ModelType = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    extra: Mapping[str, Boxes] | None = None,
+) -> dict[str, Georeferencer]:
+    """For each recording with pairs a model that never saw it.
+
+    Args:
+        scene: The scene.
+        model: Name of the model.
+        seed: Of whatever is random in the fits.
+        extra: Further boxes of the logged target, by recording; see `fit`.
+
+    Raises:
+        FitError: Fewer than two recordings have pairs, or what is left is too little.
+    """
+    kind = model_type(model)
+    inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
+    held = set(inputs.correspondences.recording.tolist())
+    names = [recording.name for recording in scene.recordings if recording.name in held]
+    if len(names) < 2:
+        raise FitError(
+            f"{scene.path}: leaving one recording out needs at least two recordings with boxes "
+            f"and fixes at the same times; there {'is' if len(names) == 1 else 'are'} {len(names)}"
+        )
+    settings = FitSettings(model=kind, seed=seed)
+    return {name: fit_inputs(inputs.without(name), settings) for name in names}
+
+
+def compare(
+    scene: Scene,
+    models: Sequence[str] = MODELS,
+    *,
+    trajectory: str | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> tuple[Comparison, dict[str, list[Placed]]]:
+    """Leave one recording out at a time, for each model, as in the paper's Table 2.
+
+    Args:
+        scene: At least two recordings with boxes and fixes.
+        models: Names of models.
+        trajectory: The method after each model. Absent: the paper's chain after the paper's
+            models, the smoother after ours.
+        seed: Of whatever is random in the fits.
+        progress: Told how far it is.
+
+    Returns:
+        The comparison, and the boxes as each model placed them.
+
+    Raises:
+        InputError: A name is not known.
+        FitError: See `leave_one_out`.
+    """
+    if not models:
+        raise InputError(f"no model is named; known are {', '.join(MODELS)}")
+    for name in models:
+        model_type(name)
+    if trajectory is not None:
+        method(trajectory)
+    single: dict[str, Report] = {}
+    smooth: dict[str, Report] = {}
+    all_placed: dict[str, list[Placed]] = {}
+    for i, name in enumerate(models):
+        if progress:
+            progress(f"fitting {name}", i / len(models))
+        fitted = leave_one_out(scene, name, seed=seed)
+        placed = place_boxes(scene.select(fitted), fitted.__getitem__)
+        single[name] = score(placed)
+        after = trajectory or ("paper" if name in PAPER_MODELS else DEFAULT_TRAJECTORY)
+        smooth[name] = score(placed, after)
+        all_placed[name] = placed
+    return Comparison(single, smooth), all_placed

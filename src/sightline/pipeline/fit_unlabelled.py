@@ -1,0 +1,487 @@
+"""A georeferencer from a scene in which nobody drew a box."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
+from sightline.association.observations import observe
+from sightline.association.search import Watch
+from sightline.camera.observations import Landmarks
+from sightline.camera.pinhole import Camera
+from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.shore_landmarks import shore_landmarks
+from sightline.camera.shoreline import WaterEdge, find_water_edge
+from sightline.detection import DEFAULT_DETECTOR, LowerEdge, check_detector_name
+from sightline.errors import FitError, InputError
+from sightline.geodesy import LocalPlane
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs, FitSettings
+from sightline.georeferencing.fit import fit as fit_inputs
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
+from sightline.georeferencing.recalibration import lies_since, prior_of
+from sightline.logged_path import LoggedPath
+from sightline.pipeline.fit import fit
+from sightline.progress import Progress
+from sightline.scene import Recording, Scene
+from sightline.scene.camera_state import scene_stances
+from sightline.scene.correspondences import levels_at, scene_pairs
+from sightline.scene.detections import SceneDetections, lower_edges_of
+from sightline.synchronisation import check_overlap
+from sightline.types import Boxes, FloatArray, IntArray
+
+APART_S = 1.5
+"""Boxes that teach are at least so far apart: a detector's errors last as long."""
+
+MOST_A_RECORDING = 120
+
+# Detectors see a hull, not where it meets the water: their boxes end too high by a few pixels, as
+# a rule. Where the edge of the water is seen, it tells how many; boxes alone tell next to nothing,
+# so that without it a closer guess has to stand in. Whoever draws boxes leaves some water around a
+# boat: a pixel and 0.15 m are half of what the detector that ships was taught to leave.
+_ANY = CameraPrior(unseen_px=1.0, unseen_m=-0.15)
+_WITH_EDGE = replace(_ANY, bias_px=-3.0, bias_px_sigma=5.0)
+_WITHOUT_EDGE = replace(_ANY, bias_px=-4.0, bias_px_sigma=2.0)
+
+# Of some detectors it was measured on rendered boats; so much may real ones differ from these, px
+# and as a share of what the height of the boat makes.
+_UNLIKE_RENDERED_PX = 1.0
+_UNLIKE_RENDERED_SHARE = 0.5
+_LEAST_SIGMA_M = 0.1
+
+
+def fit_scene(
+    scene: Scene,
+    model: str | ModelType = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    extra: Mapping[str, Boxes] | None = None,
+    detector: str | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> Georeferencer:
+    """Learn a georeferencer from a scene, whether or not somebody drew boxes.
+
+    Where a recording has drawn boxes and a log, or there are only control points, this is
+    `fit`. Otherwise the logged vessels are recognised among the
+    recordings' ``detections``, or among what a detector finds in their pictures.
+
+    Args:
+        scene: The scene.
+        model: One of `MODELS`, or a model type.
+        seed: Of whatever is random in the fit.
+        extra: As for `fit`.
+        detector: Name of the detector for recordings that have pictures but no boxes of any kind;
+            None: these are left out.
+        seen: What it found there, for who has looked already.
+        largest_offset_s: How far the clocks may be off.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: The model's name is not known, or a file of the scene cannot be used.
+        FitError: There is too little, or nobody can be recognised.
+    """
+    model = model_type(model)
+    if detector is not None:
+        check_detector_name(detector)
+    drawn = any(r.boxes_path and r.fixes_path for r in scene.recordings)
+    looks = seen is not None or detector is not None
+    able = any(
+        r.fixes_path and (r.detections_path or (looks and r.source)) for r in scene.recordings
+    )
+    if drawn or not able:
+        return fit(scene, model, seed=seed, extra=extra, progress=progress)
+    if seen is None and detector is not None:
+        seen = SceneDetections(scene, detector, progress, stills=True)
+    association = associate_scene(
+        scene,
+        detector=detector,
+        seen=seen,
+        largest_offset_s=largest_offset_s,
+        progress=progress,
+    )
+    return fit_association(
+        scene,
+        association,
+        model,
+        seed=seed,
+        lower_edges=seen.lower_edges if seen else None,
+        seen=seen,
+    )
+
+
+def associate_scene(
+    scene: Scene,
+    *,
+    detector: str | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> Association:
+    """Recognise the logged vessels of a scene.
+
+    Args:
+        scene: Says where its camera stands.
+        detector: As for `fit_scene`.
+        seen: As for `fit_scene`.
+        largest_offset_s: As for `fit_scene`.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: A file cannot be used, or no log overlaps its recording.
+        FitError: Nobody can be recognised, or the scene does not say where its camera stands.
+    """
+    plane = scene.plane
+    if scene.moves:
+        raise FitError(
+            f"{scene.path}: its camera stands on a platform that moves, where nobody is recognised "
+            "without drawn boxes; give boxes"
+        )
+    if plane is None:
+        raise FitError(
+            f"{scene.path}: to recognise a logged vessel without drawn boxes, say where the camera "
+            "stands: [camera] latitude_deg and longitude_deg"
+        )
+    tell = progress or (lambda _what, _share: None)
+    if seen is None and detector is not None:
+        seen = SceneDetections(scene, detector, progress)
+    watches: list[Watch] = []
+    apart: InputError | None = None
+    for recording in scene.recordings:
+        if recording.fixes_path is None:
+            continue
+        boxes = _boxes_of_anything(recording, seen)
+        if boxes is None or not len(boxes):
+            continue
+        paths = _paths(recording, plane, boxes, largest_offset_s)
+        if not paths:
+            if len(recording.logs()) == 1:
+                try:
+                    check_overlap(
+                        boxes.time_utc_s, recording.fixes(), f"recording {recording.name}"
+                    )
+                except InputError as error:
+                    apart = apart or error
+            continue
+        watches.append(Watch(recording.name, observe(boxes), paths))
+    if not watches:
+        if apart is not None:
+            raise apart
+        raise FitError(
+            f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
+            "was; nobody can be recognised"
+        )
+    if scene.tidal:
+        watches = _over_water(watches, scene)
+    tell("recognising the logged vessels", float("nan"))
+    try:
+        return associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s)
+    except FitError as error:
+        raise FitError(f"{scene.path}: {error}") from error
+
+
+def _over_water(watches: Sequence[Watch], scene: Scene) -> list[Watch]:
+    """Watches that know how high the water stood, above its middle over all of them."""
+    levels = [levels_at(scene[watch.name], watch.seen.time_utc_s) for watch in watches]
+    middle_m = float(np.median(np.concatenate(levels)))
+    return [
+        replace(watch, above_m=own - middle_m) for watch, own in zip(watches, levels, strict=True)
+    ]
+
+
+def fit_association(
+    scene: Scene,
+    association: Association,
+    model: str | ModelType = DEFAULT_MODEL,
+    *,
+    seed: int = 0,
+    lower_edges: Mapping[str, LowerEdge | None] | None = None,
+    seen: SceneDetections | None = None,
+) -> Georeferencer:
+    """Learn a georeferencer from what was recognised.
+
+    Args:
+        scene: The scene.
+        association: Of the scene.
+        model: One of `MODELS`, or a model type.
+        seed: Of whatever is random in the fit.
+        lower_edges: Where the boxes of each source end, as `SceneDetections` tells.
+        seen: Who has looked at the scene's pictures already.
+
+    Raises:
+        FitError: There are too few boxes.
+    """
+    plane = scene.plane
+    assert plane is not None, "association needs the camera's place"
+    landmarks = scene_landmarks(scene, association, seen)
+    pairs = recognised_pairs(association, plane, scene)
+    beliefs = _measured(pairs, association.camera, lower_edges)
+    inputs = FitInputs(
+        correspondences=pairs,
+        image_size_px=scene.image_size_px,
+        control_points=scene.control_points,
+        tidal=scene.tidal,
+        stances=scene_stances(scene),
+        landmarks=landmarks,
+        name=str(scene.path),
+    )
+    settings = FitSettings(
+        model=model,
+        seed=seed,
+        prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
+        source_priors=beliefs,
+    )
+    fitted = fit_inputs(inputs, settings)
+    more = list(association.statements)
+    if len(landmarks):
+        more.append("The edge of the water in the pictures tells where the horizon is.")
+    else:
+        more.append(
+            "No edge of the water was seen: how far the detector's boxes end off the water is "
+            "assumed, and ranges depend on it."
+        )
+    clocks = {
+        name: association.offset_s[name] + fitted.report.clock_offset_s.get(name, 0.0)
+        for name in association.offset_s
+    }
+    for name, offset in clocks.items():
+        if abs(offset) > 1.0:
+            more.append(
+                f"The clock of recording {name} is {abs(offset):.1f} s "
+                f"{'behind' if offset > 0 else 'ahead of'} the log."
+            )
+    report = replace(
+        fitted.report,
+        asked=sum(len(watch.seen.boxes) for watch in association.watches),
+        clock_offset_s=clocks,
+        statements=(*more, *fitted.report.statements),
+    )
+    return replace(fitted, report=report)
+
+
+def update_scene(
+    scene: Scene,
+    old: Georeferencer,
+    *,
+    seed: int = 0,
+    detector: str | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> Georeferencer:
+    """Improve a model with a new day, and say whether its camera was turned since.
+
+    What the old model knew of height, focal length, pitch and roll is believed, twice as unsure as
+    it said; pitch and roll are learned anew where the camera was turned.
+
+    Args:
+        scene: The new day, of the same camera.
+        old: The model.
+        seed: Of whatever is random in the fit.
+        detector: As for `fit_scene`.
+        seen: As for `fit_scene`.
+        largest_offset_s: As for `fit_scene`.
+        progress: Told what is being done.
+
+    Raises:
+        InputError: The old model has no camera or is for pictures of another size, or a file of
+            the scene cannot be used.
+        FitError: There is too little, or nobody can be recognised.
+    """
+    if old.camera is None:
+        raise InputError(f"model {old.model!r} has no camera, so it cannot be updated; fit anew")
+    if scene.image_size_px != old.image_size_px:
+        raise InputError(
+            f"{scene.path}: its pictures have {scene.image_size_px} px, the model learned from "
+            f"{old.image_size_px} px; fit anew"
+        )
+    old.check_water(scene.tidal, f"{scene.path}: ")
+    landmarks = Landmarks.none()
+    beliefs: dict[str, SourceBelief] = {}
+    more: tuple[str, ...] = ()
+    if any(r.boxes_path and r.fixes_path for r in scene.recordings):
+        pairs = scene_pairs(scene, old.plane)
+        usual = CameraPrior()
+    else:
+        moved_scene = replace(
+            scene,
+            camera=replace(
+                scene.camera,
+                latitude_deg=old.plane.latitude_deg,
+                longitude_deg=old.plane.longitude_deg,
+            ),
+        )
+        if seen is None and detector is not None:
+            seen = SceneDetections(moved_scene, detector, progress, stills=True)
+        association = associate_scene(
+            moved_scene,
+            detector=detector,
+            seen=seen,
+            largest_offset_s=largest_offset_s,
+            progress=progress,
+        )
+        pairs = recognised_pairs(association, old.plane, scene)
+        landmarks = scene_landmarks(scene, association, seen)
+        usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
+        beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
+        more = association.statements
+    stances = scene_stances(scene, progress)
+    now = lies_since(old, pairs, stances)
+    prior = replace(
+        prior_of(old, turned=now.turned),
+        bias_px=usual.bias_px,
+        bias_px_sigma=usual.bias_px_sigma,
+        unseen_px=usual.unseen_px,
+        unseen_m=usual.unseen_m,
+    )
+    inputs = FitInputs(
+        correspondences=pairs,
+        image_size_px=old.image_size_px,
+        control_points=scene.control_points,
+        moving=scene.moves,
+        tidal=scene.tidal,
+        stances=stances,
+        landmarks=landmarks,
+        name=str(scene.path),
+    )
+    settings = FitSettings(
+        model=old.model,
+        seed=seed,
+        prior=prior,
+        source_priors=beliefs,
+        water_level_m=old.water_level_m,
+    )
+    fitted = fit_inputs(inputs, settings)
+    statements = (*now.statements, *more, *fitted.report.statements)
+    return replace(fitted, report=replace(fitted.report, statements=statements))
+
+
+def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) -> Pairs:
+    """Boxes that were recognised, thinned, with the places of their vessels."""
+    boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
+    by_name = {watch.name: watch for watch in association.watches}
+    for found in association.found:
+        watch = by_name[found.recording]
+        path = next(path for path in watch.paths if path.name == found.vessel)
+        rows = _thinned(watch.seen.time_utc_s[found.rows])
+        chosen = found.rows[rows]
+        at = path.at(watch.seen.time_utc_s[chosen] + association.offset_s[found.recording])
+        known = np.isfinite(at.east_north_m).all(axis=1)
+        boxes.append(watch.seen.boxes[watch.seen.box[chosen[known]]])
+        names.append(np.full(int(known.sum()), found.recording))
+        vessels.append(np.full(int(known.sum()), found.vessel))
+        places.append(at.east_north_m[known])
+        velocities.append(at.velocity_mps[known])
+        if scene.tidal:
+            levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
+    return Pairs(
+        boxes=Boxes.concatenate(boxes),
+        recording=np.concatenate(names),
+        east_north_m=np.concatenate(places),
+        velocity_mps=np.concatenate(velocities),
+        asked=sum(map(len, boxes)),
+        plane=plane,
+        vessel=np.concatenate(vessels),
+        water_level_m=np.concatenate([np.empty(0), *levels]),
+    )
+
+
+def _measured(
+    pairs: Pairs, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
+) -> dict[str, SourceBelief]:
+    """What is believed of the boxes of detectors whose lower edge was measured.
+
+    A share of the boat's height is metres at the boat, as many as it is high.
+    """
+    known = dict(lower_edges or {})
+    names = np.unique(pairs.boxes.source).tolist()
+    if DEFAULT_DETECTOR in names and DEFAULT_DETECTOR not in known:
+        # A table of what it found may be all that there is.
+        known |= lower_edges_of(DEFAULT_DETECTOR)
+    away = pairs.east_north_m - (camera.east_m, camera.north_m)
+    slant_m = np.hypot(np.hypot(away[:, 0], away[:, 1]), camera.height_m)
+    height_px = pairs.boxes.xyxy_px[:, 3] - pairs.boxes.xyxy_px[:, 1]
+    out = {}
+    for name in names:
+        edge = known.get(name)
+        if edge is None:
+            continue
+        rows = pairs.boxes.source == name
+        boat_m = float(np.median(edge.hull_px(height_px[rows]) * slant_m[rows])) / camera.focal_px
+        below_m = edge.share * boat_m
+        out[name] = SourceBelief(
+            bias_px=(edge.px, float(np.hypot(edge.spread_px, _UNLIKE_RENDERED_PX))),
+            bias_m=(-below_m, max(_UNLIKE_RENDERED_SHARE * abs(below_m), _LEAST_SIGMA_M)),
+        )
+    return out
+
+
+def scene_landmarks(
+    scene: Scene, association: Association, seen: SceneDetections | None = None
+) -> Landmarks:
+    """What the edge of the water in the recordings' pictures tells; none where it is not seen.
+
+    Args:
+        scene: The scene.
+        association: Of the scene.
+        seen: Who has looked at the pictures already.
+    """
+    seen = seen or SceneDetections(scene, None)
+    width = scene.image_size_px[0]
+    edges = [
+        edge
+        for name in association.offset_s
+        if scene[name].source is not None
+        and (edge := _edge(scene[name], association.camera, width, seen)) is not None
+    ]
+    afloat = [path.east_north_m for watch in association.watches for path in watch.paths]
+    return shore_landmarks(edges, association.camera, afloat)
+
+
+def _edge(
+    recording: Recording, camera: Camera, width: int, seen: SceneDetections
+) -> WaterEdge | None:
+    still = seen.still(recording)
+    if still.shape[1] != width:
+        return None
+    return find_water_edge(still, camera.horizon_y_px(np.arange(float(width))))
+
+
+def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Boxes | None:
+    """The boxes of anything in a recording, None where nothing tells them."""
+    if recording.detections_path is not None:
+        return recording.detections()
+    if seen is None or recording.source is None:
+        return None
+    return seen.boxes(recording)
+
+
+def _paths(
+    recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float
+) -> tuple[LoggedPath, ...]:
+    """The logs that tell anything of the time of a recording."""
+    first = boxes.time_utc_s.min() - largest_offset_s
+    last = boxes.time_utc_s.max() + largest_offset_s
+    out = []
+    for log in recording.logs():
+        times = log.fixes.time_utc_s
+        if np.sum((times >= first) & (times <= last)) >= 2:
+            out.append(LoggedPath.of(log.fixes, plane, log.velocity_mps))
+    return tuple(out)
+
+
+def _thinned(time_s: FloatArray) -> IntArray:
+    """Indices of times in order that are far enough apart, and not too many."""
+    apart = max(APART_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
+    out: list[int] = []
+    last = -np.inf
+    for i, time in enumerate(time_s):
+        if time - last >= apart:
+            out.append(i)
+            last = time
+    return np.array(out, dtype=np.int64)

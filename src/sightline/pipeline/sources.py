@@ -1,0 +1,193 @@
+"""From a source to boxes with times: a table, boxes in hand, or frames that a detector looks at."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sightline import formats
+from sightline.clock import Clock
+from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, detector_by_name
+from sightline.detection.run import usable
+from sightline.errors import InputError
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
+
+_TABLE_SUFFIXES = (".csv", ".txt")
+_CHUNK_ROWS = 20_000
+LOOKED_AT = 5
+"""So many pictures tell how far apart they are."""
+# In a longer time a boat moves by more than its length in the image.
+_SELDOM_S = 1.0
+# On the earth a vessel's way can be foretold for longer.
+_SELDOM_ON_EARTH_S = 6.0
+
+
+def is_table(source: str | os.PathLike[str]) -> bool:
+    """Whether a source is a table of boxes, by its ending."""
+    return Path(source).suffix.lower() in _TABLE_SUFFIXES and "://" not in str(source)
+
+
+def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
+    """The boxes of a table, some thousand rows at a time, in the order of time.
+
+    Boxes without width or height, which some detectors put out, are left out.
+
+    Returns:
+        The boxes, and the highest track id, `NO_TRACK` if they have none.
+    """
+    ordered, alone, last, highest_id = True, True, -np.inf, NO_TRACK
+    for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True):
+        if not len(chunk):
+            continue
+        moment = _moment(chunk)
+        step = np.diff(moment, prepend=last)
+        ordered &= bool((step >= 0.0).all())
+        alone &= bool((step > 0.0).all())
+        highest_id = max(highest_id, int(chunk.track_id.max()))
+        last = float(moment[-1])
+    if not ordered:
+        # Sorted by track, or not at all: only the whole table can be put in order.
+        return in_hand(formats.read_boxes(path, skip_empty=True))
+    chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True)
+    if alone and highest_id == NO_TRACK:
+        return (_as_one_target(chunk) for chunk in chunks), 1
+    return chunks, highest_id
+
+
+def in_hand(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
+    """Boxes in any order, as `read_table`.
+
+    Boxes without ids of which no two are of one time are all of one target.
+    """
+    highest_id = int(boxes.track_id.max(initial=NO_TRACK))
+    if highest_id == NO_TRACK and np.unique(_moment(boxes)).size == len(boxes):
+        return iter([_as_one_target(boxes)]), 1
+    return iter([boxes]), highest_id
+
+
+def _moment(boxes: Boxes) -> FloatArray:
+    """(N,) what tells the order of boxes: their times, or else their frames."""
+    timed = np.isfinite(boxes.time_utc_s)
+    return np.where(timed.all(), boxes.time_utc_s, boxes.frame.astype(np.float64))
+
+
+def _as_one_target(boxes: Boxes) -> Boxes:
+    return boxes.with_columns(track_id=np.ones(len(boxes), dtype=np.int64))
+
+
+def make_detector(
+    detector: Detector | str | None,
+    model: Georeferencer | None,
+    options: DetectorOptions | None = None,
+) -> Detector:
+    """A detector of a name that knows the model's horizon, or one's own as it is.
+
+    Args:
+        detector: As `detector_by_name` takes it, or one's own. Absent: the default.
+        model: That knows the camera; without one the horizon is not known.
+        options: How a detector in an ONNX file is run.
+
+    Raises:
+        InputError: The name is not known, or the options do not fit.
+    """
+    if detector is not None and not isinstance(detector, str):
+        return detector
+    horizon = None
+    if model is not None and model.camera is not None:
+        rows = model.camera.horizon_y_px([0.0, model.image_size_px[0]])
+        if np.isfinite(rows).all():
+            horizon = (float(rows[0]), float(rows[1]))
+    return detector_by_name(detector or DEFAULT_DETECTOR, horizon_px=horizon, options=options)
+
+
+class SeldomError(InputError):
+    """Pictures or boxes between which a target cannot be followed."""
+
+
+def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
+    """Pass pictures on, and refuse those that no target can be found and followed in.
+
+    Raises:
+        InputError: See `usable`.
+        SeldomError: They come too seldom.
+    """
+    first_s: list[float] = []
+    for frame in usable(frames, model.image_size_px, where):
+        yield frame
+        if len(first_s) < LOOKED_AT:
+            first_s.append(frame.time_utc_s)
+            if len(first_s) == LOOKED_AT:
+                refuse_seldom(first_s, "pictures", model)
+    if len(first_s) < LOOKED_AT:
+        refuse_seldom(first_s, "pictures", model)
+
+
+def follows_on_earth(model: Georeferencer) -> bool:
+    """Whether targets are followed on the earth's plane: a camera is known.
+
+    The places of other models are too rough.
+    """
+    return model.camera is not None
+
+
+def refuse_seldom(times_s: Sequence[float], what: str, model: Georeferencer) -> None:
+    """Refuse what no target can be followed in.
+
+    Raises:
+        SeldomError: The times are too far apart.
+    """
+    apart_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    most_s = _SELDOM_ON_EARTH_S if follows_on_earth(model) else _SELDOM_S
+    if apart_s > most_s:
+        raise SeldomError(
+            f"the {what} are {apart_s:.1f} s apart, and a target can be followed only where they "
+            f"are at most {most_s:g} s apart; give the video itself, or boxes with a track_id"
+        )
+
+
+def timed(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -> Boxes:
+    """Boxes with their times, of the picture that the model knows."""
+    if clock is not None and len(boxes):
+        boxes = boxes.with_columns(time_utc_s=clock.time_utc_s(boxes.frame))
+    unknown = ~np.isfinite(boxes.time_utc_s)
+    if unknown.any():
+        i = int(np.argmax(unknown))
+        raise InputError(
+            f"{where}nothing tells the time of frame {boxes.frame[i]}; give a clock (--clock), or "
+            "time_utc with the boxes"
+        )
+    check_inside(boxes, model.image_size_px, where)
+    return boxes
+
+
+def whole_moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
+    """The boxes of one time or of several, each time whole, in the order of time.
+
+    Those of one time may come in two batches, so the last time of a batch waits for the next.
+    """
+    waiting: list[Boxes] = []
+    for batch in batches:
+        if not len(batch):
+            continue
+        boxes = Boxes.concatenate([*waiting, batch])
+        order = np.argsort(boxes.time_utc_s, kind="stable")
+        boxes = boxes[order]
+        # A time that is none is last, and is told by whoever needs it.
+        last = int(np.searchsorted(boxes.time_utc_s, boxes.time_utc_s[-1]))
+        if last:
+            yield boxes[:last]
+        waiting = [boxes[last:]]
+    yield from waiting
+
+
+def moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
+    """The boxes of one time after another, though those of one time may come in two batches."""
+    for boxes in whole_moments(batches):
+        cuts = np.flatnonzero(np.diff(boxes.time_utc_s) > 0.0) + 1
+        for start, stop in itertools.pairwise([0, *cuts.tolist(), len(boxes)]):
+            yield boxes[start:stop]

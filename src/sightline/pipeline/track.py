@@ -1,0 +1,580 @@
+"""From boxes with times to tracks: one id a target, a place a box, a smooth path."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sightline import formats, video
+from sightline.camera.horizon_tracker import HorizonWatch
+from sightline.clock import Clock
+from sightline.detection import Detector, Looker, detect, shown
+from sightline.errors import InputError
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.camera_state import Standing, StandingWatch
+from sightline.pipeline.conditions import Conditions
+from sightline.pipeline.sources import (
+    fit_for_use,
+    follows_on_earth,
+    in_hand,
+    is_table,
+    make_detector,
+    moments,
+    read_table,
+    refuse_seldom,
+    timed,
+    whole_moments,
+)
+from sightline.platform import Platform, moved_track, north_up
+from sightline.progress import Progress
+from sightline.tracking import ImageTracker, TargetTracker, Tracker, WorldTracker
+from sightline.tracks import Tracks
+from sightline.trajectory import TrajectoryMethod, method
+from sightline.trajectory.forecast import MotionModel, MotionState
+from sightline.trajectory.forecast import follow as follow_motion
+from sightline.types import (
+    NO_TRACK,
+    Boxes,
+    EastNorthPositions,
+    FloatArray,
+    Horizons,
+    LocatedBoxes,
+    Positions,
+    Track,
+)
+from sightline.video.reader import frame_count
+from sightline.water import WaterLevels
+
+DEFAULT_TRAJECTORY = "rts"
+
+ON_BOARD_LASTING_S = 1.3
+"""How long errors of boxes last on a vessel under way: heave, for a fourth of a wave's period."""
+
+_MOST_PARTS = 256
+_MOST_UNSORTED = 10_000
+_LEAST_INTERVAL_S = 0.001
+_MOST_FORECASTS = 100_000
+_LOOKED_AT_BOXES = 1000
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """How boxes become tracks.
+
+    Attributes:
+        trajectory: Name of the trajectory method, ``"rts"`` or ``"paper"``.
+        interval_s: Time between the points of a track; None: a point a box.
+        ends_after_s: A target not seen for as long has gone; its track is smoothed and let go.
+        shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
+        longest_s: A track that lasts longer is cut, and goes on under another number, so that a
+            source without an end fits into memory.
+        forecast_s: How far ahead a track is forecast after its last position, where forecasts
+            are asked for.
+        forecast_interval_s: Time between the points of a forecast.
+        correct_turns: Whether a turn of the camera that its pictures show is made up for.
+    """
+
+    trajectory: str = DEFAULT_TRAJECTORY
+    interval_s: float | None = None
+    ends_after_s: float = 20.0
+    shortest_s: float = 2.0
+    longest_s: float = 1800.0
+    forecast_s: float = 60.0
+    forecast_interval_s: float = 5.0
+    correct_turns: bool = True
+
+    def __post_init__(self) -> None:
+        # An unknown name is told before any work is done.
+        method(self.trajectory)
+        for name in ("ends_after_s", "longest_s", "forecast_s", "forecast_interval_s"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} must be positive; it is {getattr(self, name):g} s")
+        if not self.forecast_s < np.inf:
+            raise InputError("forecast_s is infinite; give the seconds to look ahead")
+        if self.forecast_s > _MOST_FORECASTS * self.forecast_interval_s:
+            raise InputError(
+                f"forecast_s is {self.forecast_s:g} s; with a point every "
+                f"{self.forecast_interval_s:g} s it may be "
+                f"{_MOST_FORECASTS * self.forecast_interval_s:g} s at most"
+            )
+        if self.interval_s is not None and not _LEAST_INTERVAL_S <= self.interval_s < np.inf:
+            raise InputError(
+                f"interval_s is {self.interval_s:g} s; it must be at least {_LEAST_INTERVAL_S:g} "
+                "s, since files of tracks keep milliseconds"
+            )
+
+
+def track(
+    source: str | os.PathLike[str] | Boxes,
+    model: Georeferencer,
+    *,
+    detector: Detector | str | None = None,
+    clock: Clock | None = None,
+    start_utc_s: float | None = None,
+    platform: Platform | str | os.PathLike[str] | None = None,
+    horizons: Horizons | None = None,
+    water_levels: WaterLevels | float | str | os.PathLike[str] | None = None,
+    settings: TrackSettings | None = None,
+    progress: Progress | None = None,
+) -> Tracks:
+    """Smooth tracks of everything in a source.
+
+    Args:
+        source: A video, a folder of frames, a stream, a table of boxes, or boxes.
+        model: Says where a box lies.
+        detector: Finds boxes in frames: a name, the path of an ONNX file, or one's own. Absent:
+            ``"harbour"``.
+        clock: Tells the times of frames; absent: the video or the table does.
+        start_utc_s: POSIX seconds of a video's first frame.
+        platform: What the camera stands on, or its log, where that moves.
+        horizons: Where the horizon lies, for boxes in a table; in frames it is looked for.
+        water_levels: How high the water stands, metres above the datum of the model's scene, or a
+            table of it; needed where that scene had such.
+        settings: How boxes become tracks.
+        progress: Told how far it is.
+
+    Raises:
+        InputError: The source cannot be read, nothing tells its times, or the model is of a camera
+            that moves and the source of one that does not, or the reverse, or water levels are
+            missing or of no use.
+    """
+    found = iter_tracks(
+        source,
+        model,
+        detector=detector,
+        clock=clock,
+        start_utc_s=start_utc_s,
+        platform=platform,
+        horizons=horizons,
+        water_levels=water_levels,
+        settings=settings,
+        progress=progress,
+    )
+    return Tracks(tuple(found))
+
+
+def iter_tracks(
+    source: str | os.PathLike[str] | Boxes,
+    model: Georeferencer,
+    *,
+    detector: Detector | str | None = None,
+    clock: Clock | None = None,
+    start_utc_s: float | None = None,
+    platform: Platform | str | os.PathLike[str] | None = None,
+    horizons: Horizons | None = None,
+    water_levels: WaterLevels | float | str | os.PathLike[str] | None = None,
+    settings: TrackSettings | None = None,
+    progress: Progress | None = None,
+    forecasts: Callable[[Track], None] | None = None,
+) -> Iterator[Track]:
+    """As `track`, one track at a time, each as soon as its target has gone; memory stays flat.
+
+    Args:
+        source: See `track`.
+        model: See `track`.
+        detector: See `track`.
+        clock: See `track`.
+        start_utc_s: See `track`.
+        platform: See `track`.
+        horizons: See `track`.
+        water_levels: See `track`.
+        settings: See `track`.
+        progress: See `track`.
+        forecasts: Is given the forecast of each track, from its last position on and by its
+            positions alone, as a track of extrapolated points with the same number.
+
+    Raises:
+        InputError: See `track`.
+    """
+    settings = settings or TrackSettings()
+    smoother = method(settings.trajectory)
+    if platform is not None and not isinstance(platform, Platform):
+        platform = Platform(formats.read_fixes(platform), formats.read_headings(platform))
+    check_platform(model, platform)
+    water = _water(water_levels)
+    model.check_water(water is not None)
+    table = isinstance(source, Boxes) or is_table(source)
+    if table and start_utc_s is not None:
+        raise InputError(
+            "boxes in a table have no presentation times, so a start time does not tell when they "
+            "were seen; give a clock (frame,utc), or time_utc with the boxes"
+        )
+    watch: HorizonWatch | None = None
+    standing = Standing(Conditions(water=water))
+    if isinstance(source, Boxes):
+        batches, highest_id = in_hand(source)
+    elif table:
+        batches, highest_id = read_table(source)
+    else:
+        frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
+        usable = fit_for_use(frames, model, str(source))
+        standing = StandingWatch(
+            model, warn_of=str(source), correct=settings.correct_turns, water=water
+        )
+        lookers: list[Looker] = [standing]
+        if model.horizon_px is not None:
+            watch = HorizonWatch()
+            lookers.append(watch)
+        usable = shown(usable, lookers)
+        batches = detect(usable, make_detector(detector, model), frame_count(source), progress)
+        clock, highest_id = None, NO_TRACK
+    where = "" if isinstance(source, Boxes) else f"{source}: "
+    with_times = (timed(boxes, clock, model, where) for boxes in batches)
+    level: Iterator[Boxes] = (
+        model.level(boxes, watch.seen if watch else horizons) for boxes in with_times
+    )
+    level = standing.level(level)
+    yield from follow(level, model, smoother, settings, highest_id, platform, forecasts, standing)
+
+
+def _water(
+    given: WaterLevels | float | str | os.PathLike[str] | None,
+) -> WaterLevels | None:
+    if given is None or isinstance(given, WaterLevels):
+        return given
+    if isinstance(given, str | os.PathLike):
+        return formats.read_water_levels(given)
+    return WaterLevels.constant(given)
+
+
+def follow(
+    batches: Iterator[Boxes],
+    model: Georeferencer,
+    smoother: TrajectoryMethod,
+    settings: TrackSettings,
+    highest_id: int = NO_TRACK,
+    platform: Platform | None = None,
+    forecasts: Callable[[Track], None] | None = None,
+    standing: Standing | None = None,
+) -> Iterator[Track]:
+    """The tracks of boxes, each as soon as its target has gone.
+
+    Args:
+        batches: In the order of time from one to the next.
+        model: Says where a box lies.
+        smoother: Makes a track of positions.
+        settings: How boxes become tracks.
+        highest_id: Of the boxes' track ids; those without one are of no target. `NO_TRACK`: none
+            has one, and a tracker gives them.
+        platform: What the camera stands on, where that moves.
+        forecasts: See `iter_tracks`.
+        standing: Knows by when the camera had been turned, and how high the water stood; the boxes
+            are levelled.
+
+    Raises:
+        SeldomError: No target could be followed, since the boxes come too seldom.
+    """
+    standing = standing or Standing()
+    first_s: list[float] = []
+    book = _OpenTracks(settings, highest_id)
+    if highest_id == NO_TRACK:
+        batches = _followed(batches, first_s, _tracker(model, standing, platform))
+        ended = book.ended_by_moment(batches)
+    else:
+        ended = book.ended(batches)
+    count = 0
+    for number, seen in ended:
+        conditions = standing.conditions
+        boxes = seen
+        if platform is None:
+            boxes = LocatedBoxes.at(seen, conditions.locate(seen, model))
+        made = smooth_boxes(
+            boxes,
+            model,
+            smoother,
+            settings,
+            track_id=number,
+            shortest_s=settings.shortest_s,
+            platform=platform,
+            conditions=conditions,
+        )
+        if made is not None:
+            count += 1
+            if forecasts is not None:
+                forecasts(_forecast(boxes, model, settings, made, platform, conditions))
+            yield made
+    if count == 0:
+        refuse_seldom(first_s, "boxes", model)
+
+
+def _tracker(model: Georeferencer, standing: Standing, platform: Platform | None) -> Tracker:
+    if not follows_on_earth(model):
+        return ImageTracker()
+    # What is not known of a turn moves all targets alike, so it tells none from another.
+    water = Conditions(water=standing.conditions.water)
+    return WorldTracker(
+        lambda boxes: water.locate(boxes, model, platform, until_then=True), platform=platform
+    )
+
+
+def _forecast(
+    boxes: Boxes,
+    model: Georeferencer,
+    settings: TrackSettings,
+    track: Track,
+    platform: Platform | None,
+    conditions: Conditions,
+) -> Track:
+    """The forecast of a track from its last position on."""
+    known = states(boxes, model, platform, conditions, track_id=track.track_id)
+    assert known is not None, "the track is of these boxes"
+    state = known[-1:]
+    step = min(settings.forecast_interval_s, settings.forecast_s)
+    lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
+    return state.forecast(lags, track_id=track.track_id, label=track.label)
+
+
+def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) -> Iterator[Boxes]:
+    """Boxes with the ids that a tracker gives them, in the order of time.
+
+    Args:
+        batches: In the order of time from one to the next.
+        first_s: Is given the first of their times.
+        tracker: Gives the ids.
+    """
+    several = tracker.follow if isinstance(tracker, TargetTracker) else None
+    for boxes in moments(batches) if several is None else whole_moments(batches):
+        if len(first_s) < _LOOKED_AT_BOXES:
+            first_s += np.unique(boxes.time_utc_s)[: _LOOKED_AT_BOXES - len(first_s)].tolist()
+        yield tracker.update(boxes) if several is None else several(boxes)
+
+
+class _OpenTracks:
+    """Boxes of targets that are still there, by track id."""
+
+    def __init__(self, settings: TrackSettings, highest_id: int) -> None:
+        self._settings = settings
+        self._highest_id = highest_id
+        self._spare = itertools.count(max(highest_id, 0) + 1)
+        self._used: set[int] = set()
+        self._parts: dict[int, list[Boxes]] = {}
+        self._unsorted: list[Boxes] = []
+        self._unsorted_rows = 0
+        self._first_s: dict[int, float] = {}
+        self._last_s: dict[int, float] = {}
+
+    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """Take boxes with ids, and give back the boxes of each target when it has gone."""
+        for batch in batches:
+            yield from self._add(batch)
+        for key in list(self._first_s):
+            yield self._end(key)
+
+    def ended_by_moment(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """As `ended`, where each moment is a batch of its own.
+
+        Args:
+            batches: In the order of time, each moment whole, all boxes with ids.
+        """
+        for batch in batches:
+            yield from self._add_moments(batch)
+        for key in list(self._first_s):
+            yield self._end(key)
+
+    def _add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
+        if not len(batch):
+            return []
+        ended: list[tuple[int, Boxes]] = []
+        batch = batch[np.argsort(batch.time_utc_s, kind="stable")]
+        for key in np.unique(batch.track_id[batch.track_id != NO_TRACK]).tolist():
+            own = batch[np.flatnonzero(batch.track_id == key)]
+            while len(own):
+                rows = self._until_cut(key, own.time_utc_s)
+                if rows:
+                    self._first_s.setdefault(key, float(own.time_utc_s[0]))
+                    self._last_s[key] = float(own.time_utc_s[rows - 1])
+                    self._take(key, own[:rows])
+                    own = own[rows:]
+                if len(own):
+                    ended.append(self._end(key))
+        return ended + self._end_the_gone(float(batch.time_utc_s[-1]))
+
+    def _add_moments(self, batch: Boxes) -> list[tuple[int, Boxes]]:
+        """As `_add` of one moment after another: by hand, since each is of a few boxes."""
+        ended: list[tuple[int, Boxes]] = []
+        longest_s, gap_s = self._settings.longest_s, self._settings.ends_after_s
+        first, last = self._first_s, self._last_s
+        times, ids = batch.time_utc_s, batch.track_id.tolist()
+        cuts = (np.flatnonzero(np.diff(times) > 0.0) + 1).tolist()
+        kept = 0
+        for start, stop in itertools.pairwise([0, *cuts, len(batch)] if ids else []):
+            now = float(times[start])
+            for key in sorted(set(ids[start:stop])):
+                if key in last and (now - last[key] > gap_s or now - first[key] > longest_s):
+                    self._put_by(batch, kept, start)
+                    kept = start
+                    ended.append(self._end(key))
+                first.setdefault(key, now)
+                last[key] = now
+            if now - min(last.values()) > gap_s:
+                self._put_by(batch, kept, stop)
+                kept = stop
+                ended += self._end_the_gone(now)
+        self._put_by(batch, kept, len(batch))
+        return ended
+
+    def _end_the_gone(self, now_s: float) -> list[tuple[int, Boxes]]:
+        limit = self._settings.ends_after_s
+        return [self._end(k) for k in list(self._first_s) if now_s - self._last_s[k] > limit]
+
+    def _put_by(self, batch: Boxes, start: int, stop: int) -> None:
+        """Keep rows, to be sorted by track with others."""
+        if start < stop:
+            self._unsorted.append(batch[start:stop])
+            self._unsorted_rows += stop - start
+        if len(self._unsorted) >= _MOST_PARTS or self._unsorted_rows >= _MOST_UNSORTED:
+            self._sort()
+
+    def _sort(self) -> None:
+        """Give all boxes that were put by to their tracks."""
+        if not self._unsorted:
+            return
+        boxes = Boxes.concatenate(self._unsorted)
+        self._unsorted.clear()
+        self._unsorted_rows = 0
+        order = np.argsort(boxes.track_id, kind="stable")
+        ids = boxes.track_id[order]
+        for rows in np.split(order, np.flatnonzero(np.diff(ids)) + 1):
+            self._take(int(boxes.track_id[rows[0]]), boxes[rows])
+
+    def _until_cut(self, key: int, times_s: FloatArray) -> int:
+        """How many of the next boxes still belong to the open track of a target."""
+        first_s = self._first_s.get(key, float(times_s[0]))
+        before = np.r_[self._last_s.get(key, times_s[0]), times_s[:-1]]
+        cut = times_s - before > self._settings.ends_after_s
+        cut |= times_s - first_s > self._settings.longest_s
+        return int(np.argmax(cut)) if cut.any() else len(times_s)
+
+    def _take(self, key: int, boxes: Boxes) -> None:
+        parts = self._parts.setdefault(key, [])
+        parts.append(boxes)
+        if len(parts) == _MOST_PARTS:
+            # A table of one row is a hundred times its row.
+            parts[:] = [Boxes.concatenate(parts)]
+
+    def _end(self, key: int) -> tuple[int, Boxes]:
+        self._sort()
+        del self._first_s[key], self._last_s[key]
+        return self._number(key), Boxes.concatenate(self._parts.pop(key))
+
+    def _number(self, key: int) -> int:
+        """The id of a track: the boxes' own where they have one, another when a target returns."""
+        if key > self._highest_id or key in self._used:
+            return next(self._spare)
+        self._used.add(key)
+        return key
+
+
+def check_platform(model: Georeferencer, platform: Platform | None, where: str = "") -> None:
+    """Refuse a model of a camera that moves for one that does not, and the reverse.
+
+    Args:
+        model: The model.
+        platform: What the camera stands on, where that moves.
+        where: Begins the message.
+
+    Raises:
+        InputError: They do not fit.
+    """
+    if model.moving and platform is None:
+        raise InputError(
+            f"{where}the model is of a camera on a platform that moves; give the platform's own "
+            "log (--platform FILE, or platform in the scene)"
+        )
+    if platform is not None and not model.moving:
+        raise InputError(
+            f"{where}the model is of a camera that stands still, and a platform is given; fit a "
+            "model to recordings with platform logs"
+        )
+
+
+def _positions(boxes: Boxes, model: Georeferencer, conditions: Conditions) -> Positions:
+    return boxes.positions if isinstance(boxes, LocatedBoxes) else conditions.locate(boxes, model)
+
+
+def states(
+    boxes: Boxes,
+    model: Georeferencer,
+    platform: Platform | None,
+    conditions: Conditions,
+    *,
+    motion: MotionModel | None = None,
+    track_id: int = 0,
+) -> MotionState | None:
+    """What was known of one target at each box with a place, by that and those before.
+
+    A camera that moves was where its own log says by its fixes until then.
+
+    Args:
+        boxes: Of one target, levelled. Those that are located stay where they are.
+        model: Says where they lie.
+        platform: What the camera stands on, where that moves.
+        conditions: How the camera lay, and how high the water stood.
+        motion: How targets move. Absent: as vessels do.
+        track_id: For messages.
+
+    Returns:
+        None where no box has a place.
+    """
+    if platform is None:
+        positions = _positions(boxes, model, conditions)
+        if not positions.known.any():
+            return None
+        return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
+    motion = motion or MotionModel()
+    motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
+    pose = platform.pose(boxes.time_utc_s, model.plane, until_then=True)
+    positions = model.locate(boxes.xyxy_px, boxes.source, pose=pose)
+    if not positions.known.any():
+        return None
+    followed = follow_motion(
+        boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
+    )
+    then = platform.pose(followed.time_utc_s, model.plane, until_then=True)
+    return followed.carried(then.covariance)
+
+
+def smooth_boxes(
+    boxes: Boxes,
+    model: Georeferencer,
+    smoother: TrajectoryMethod,
+    settings: TrackSettings,
+    *,
+    track_id: int,
+    shortest_s: float = 0.0,
+    platform: Platform | None = None,
+    conditions: Conditions | None = None,
+) -> Track | None:
+    """The smooth track of one target's boxes; None where they have positions for too short.
+
+    Boxes that are located stay where they are. Before a moving camera the path relative to it is
+    smoothed, and then put where the camera was.
+    """
+    positions: EastNorthPositions
+    if platform is None:
+        positions = _positions(boxes, model, conditions or Conditions())
+    else:
+        body = model.locate_body(boxes.xyxy_px, boxes.source)
+        positions = north_up(body, platform.pose(boxes.time_utc_s, model.plane))
+    times = boxes.time_utc_s[positions.known]
+    if not times.size or np.ptp(times) < shortest_s:
+        return None
+    at = None
+    if settings.interval_s is not None:
+        at = np.arange(times.min(), times.max() + 1e-9, settings.interval_s)
+    made = smoother.apply(
+        boxes.time_utc_s,
+        positions,
+        confidence=boxes.confidence,
+        at_utc_s=at,
+        track_id=track_id,
+        label=str(boxes.label[0]),
+    )
+    if platform is None:
+        return made
+    moved = moved_track(made, platform.pose(made.time_utc_s, model.plane))
+    return moved if len(moved) else None

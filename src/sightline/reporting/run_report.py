@@ -1,0 +1,291 @@
+"""What a run made, as the page and the figures that people look at."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from sightline.errors import InputError
+from sightline.evaluation.comparison import Comparison
+from sightline.evaluation.metrics import ScoredPairs, pair_track
+from sightline.evaluation.report import Report
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.evaluate import Placed
+from sightline.pipeline.run import RunResult
+from sightline.reporting.page import (
+    ModelRow,
+    OutlierRow,
+    PageFigure,
+    ReportPage,
+    SourceRow,
+    write_page,
+)
+from sightline.reporting.plots import (
+    MapPanel,
+    calibration,
+    error_against_range,
+    error_over_time,
+    map_figure,
+    save_figure,
+)
+from sightline.types import NO_FRAME
+
+_WORDS = {
+    "height_m": "height above the water or road",
+    "pitch_deg": "pitch, down is positive",
+    "roll_deg": "roll, right end of the horizon lower is positive",
+    "heading_deg": "heading, clockwise from north",
+    "focal_px": "focal length",
+    "k1": "radial distortion k1",
+    "k2": "radial distortion k2",
+    "east_m": "east of the stated place",
+    "north_m": "north of the stated place",
+    "half_length_m": "half length of the target",
+    "half_beam_m": "half beam of the target",
+}
+
+
+def run_page(result: RunResult) -> ReportPage:
+    """The page of a run."""
+    scene, model = result.scene, result.model
+    how = "each recording left out" if result.left_out else "recordings learned from"
+    reports: dict[str, Report] = {}
+    if result.smoothed is not None:
+        reports[f"smoothed tracks, {how}"] = result.smoothed
+    if result.single is not None:
+        reports[f"single boxes, {how}"] = result.single
+    fixes = {r.name: r.fixes() for r in scene.recordings if r.fixes_path is not None}
+    positions = {one.recording: one.single() for one in result.placed}
+    positions = {name: pairs for name, pairs in positions.items() if len(pairs)}
+    warnings = list(result.notes)
+    if result.detected:
+        warnings.append(
+            f"In {_listed(result.detected)} a detector found the boxes; whatever moved is tracked, "
+            "and the track nearest to the log counts as the target."
+        )
+    return ReportPage(
+        title="Tracks on the earth",
+        scene_name=scene.camera.name or scene.path.stem,
+        plane=model.plane,
+        reports=reports,
+        tracks={name: tuple(tracks) for name, tracks in result.tracks.items() if len(tracks)},
+        fixes=fixes,
+        positions=positions,
+        model_name=model.model,
+        model=_model_rows(model),
+        sources=_source_rows(model),
+        outliers=_outlier_rows(model),
+        statements=model.report.statements,
+        warnings=warnings,
+        figures=_figures(positions),
+        made_utc_s=time.time(),
+    )
+
+
+def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
+    """Write everything that a run made into a folder: tracks, model, report, map.
+
+    The files take their places together, when the last of them is written.
+
+    Returns:
+        What lies where, by ``"tracks"``, ``"model"``, ``"report"``, ``"figures"`` and ``"map"``.
+
+    Raises:
+        InputError: The files cannot be written; then none of them is.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".", dir=folder) as name:
+            made = Path(name)
+            paths = _write_into(result, made)
+            places = [
+                (path, folder / path.relative_to(made))
+                for path in made.rglob("*")
+                if path.is_file()
+            ]
+            # All that can be known to fail does so before anything takes its place.
+            for _, final in places:
+                if final.is_dir():
+                    raise InputError(f"{final}: is a folder, where a file has to go")
+                if final.parent.exists() and not final.parent.is_dir():
+                    raise InputError(f"{final.parent}: is a file, where a folder has to go")
+            for path, final in places:
+                final.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(final)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
+    return {what: folder / path.relative_to(made) for what, path in paths.items()}
+
+
+def _write_into(result: RunResult, folder: Path) -> dict[str, Path]:
+    paths = {
+        "report": folder / "report.html",
+        "figures": folder / "report.json",
+        "model": folder / "model.safetensors",
+        "tracks": folder / "tracks",
+    }
+    for file_name, tracks in zip(_file_names(result.tracks), result.tracks.values(), strict=True):
+        for suffix in (".geojson", ".csv", ".gpx", ".kml"):
+            tracks.write(paths["tracks"] / f"{file_name}{suffix}")
+    result.model.save(paths["model"])
+    panels = _panels(result)
+    if panels:
+        paths["map"] = folder / "map.png"
+        save_figure(map_figure(panels), paths["map"])
+    if result.smoothed is not None:
+        result.smoothed.write(paths["figures"])
+    else:
+        del paths["figures"]
+    write_page(run_page(result), paths["report"])
+    return paths
+
+
+def compare_page(
+    comparison: Comparison, placed: Mapping[str, Sequence[Placed]], scene_name: str
+) -> ReportPage:
+    """The page of a comparison of models."""
+    some = next(iter(placed.values()))
+    series = {name: single_pairs(parts) for name, parts in placed.items()}
+    ours = "camera+gpr" if "camera+gpr" in placed else next(iter(placed))
+    figures = [
+        PageFigure(
+            "Where each model puts the boxes",
+            map_figure([MapPanel(name, pairs) for name, pairs in series.items()]),
+            "One map a model: the log as a line, the model's positions as points.",
+            "Every recording was placed by a model that never saw it.",
+        ),
+        PageFigure(
+            "Error against range",
+            error_against_range(series),
+            "Median error of each model against the distance from the camera.",
+        ),
+        PageFigure(
+            "Do the ellipses hold what they promise?",
+            calibration(series),
+            "Share of true positions inside the stated ellipses, against the stated probability.",
+            "On the diagonal a model is as unsure as it ought to be; below it is too sure.",
+        ),
+    ]
+    return ReportPage(
+        title="Models compared",
+        scene_name=scene_name,
+        plane=some[0].model.plane,
+        reports={f"{ours}, single boxes": comparison.models[ours]},
+        fixes={one.recording: one.fixes for one in some},
+        positions={one.recording: one.single() for one in placed[ours] if len(one.single())},
+        model_name=ours,
+        figures=figures,
+        comparison=comparison,
+        made_utc_s=time.time(),
+    )
+
+
+def single_pairs(placed: Sequence[Placed]) -> ScoredPairs:
+    """The boxes of all recordings beside their logs."""
+    return ScoredPairs.concatenate([one.single() for one in placed])
+
+
+def _figures(positions: Mapping[str, ScoredPairs]) -> list[PageFigure]:
+    if not positions:
+        return []
+    everything = {"single boxes": ScoredPairs.concatenate(positions.values())}
+    return [
+        PageFigure(
+            "Error against range",
+            error_against_range(everything),
+            "Errors of single boxes against the distance from the camera.",
+            "Errors grow with the square of the range: a pixel at the horizon is a long way.",
+        ),
+        PageFigure(
+            "Do the ellipses hold what they promise?",
+            calibration(everything),
+            "Share of true positions inside the stated ellipses, against the stated probability.",
+            "On the diagonal the model is as unsure as it ought to be; below it is too sure.",
+        ),
+        PageFigure(
+            "Error over time",
+            error_over_time(positions),
+            "Errors of single boxes over time, one panel a recording.",
+        ),
+    ]
+
+
+def _panels(result: RunResult) -> list[MapPanel]:
+    panels = []
+    for recording in result.scene.recordings:
+        if recording.fixes_path is None:
+            continue
+        pairs = [
+            pair_track(track, recording.fixes(), platform=recording.platform())
+            for track in result.tracks.get(recording.name, ())
+            if track.track_id == 1 or recording.boxes_path is None
+        ]
+        found = [one for one in pairs if len(one)]
+        if found:
+            best = min(found, key=lambda one: float(np.median(one.error_m)))
+            panels.append(MapPanel(f"recording {recording.name}", best, smooth=True))
+    return panels
+
+
+def _model_rows(model: Georeferencer) -> list[ModelRow]:
+    return [
+        ModelRow(
+            name=_WORDS.get(p.name, p.name.replace("_", " ")),
+            value=p.value,
+            unit="°" if p.unit == "degrees" else p.unit,
+            sigma=p.sigma,
+            determined=p.determined,
+        )
+        for p in model.report.parameters
+    ]
+
+
+def _source_rows(model: Georeferencer) -> list[SourceRow]:
+    fit = model.regressor.camera_fit
+    if fit is None:
+        return []
+    pixels_per_metre = float(np.exp(fit.vector[4])) / fit.typical_range_m
+    return [
+        SourceRow(
+            source=source.name or "(unnamed)",
+            boxes=source.n,
+            # An edge that lies above the waterline ends higher in the image.
+            bias_px=source.bias_px - source.bias_m * pixels_per_metre,
+            sigma_px=float(np.hypot(source.sigma_px, source.sigma_m * pixels_per_metre)),
+        )
+        for source in model.report.sources
+    ]
+
+
+def _outlier_rows(model: Georeferencer) -> list[OutlierRow]:
+    return [
+        OutlierRow(
+            recording=box.recording,
+            frame=box.frame if box.frame != NO_FRAME else None,
+            time_utc_s=float("nan"),
+            source=box.source or "(unnamed)",
+            residual_px=box.residual_px,
+        )
+        for box in model.report.boxes
+        if box.outlier
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
+
+
+def _file_names(names: Iterable[str]) -> list[str]:
+    """A name of a file for each recording, each another."""
+    out: list[str] = []
+    for name in names:
+        plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).lstrip(".")
+        plain = plain or "recording"
+        same = (f"{plain}-{i}" for i in itertools.count(2))
+        out.append(next(one for one in itertools.chain([plain], same) if one not in out))
+    return out

@@ -1,0 +1,5 @@
+"""The scene: a camera, its recordings and their logs, and what is collected from their files."""
+
+from sightline.scene.scene import CameraSite, Recording, Scene
+
+__all__ = ["CameraSite", "Recording", "Scene"]

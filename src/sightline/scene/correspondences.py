@@ -1,0 +1,182 @@
+"""Boxes beside the place that the log states, collected from the files of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sightline.errors import FitError, InputError
+from sightline.geodesy import LocalPlane
+from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.fit import FitInputs
+from sightline.platform import to_bow, turned
+from sightline.progress import Progress
+from sightline.scene.camera_state import scene_horizons, scene_stances
+from sightline.scene.scene import Recording, Scene
+from sightline.synchronisation import LARGEST_GAP_S, check_overlap, synchronise
+from sightline.types import Boxes, FloatArray
+
+
+def collect(
+    scene: Scene,
+    *,
+    extra: Mapping[str, Boxes] | None = None,
+    pictures: bool = True,
+    progress: Progress | None = None,
+) -> FitInputs:
+    """Read from the files of a scene all that a fit learns from.
+
+    Args:
+        scene: Its recordings' boxes and logs, and its control points.
+        extra: Further boxes of the logged target, from another source, by recording: so that the
+            bias of a detector is learned beside that of an annotator. The residual process of
+            ``camera+gpr`` learns nothing of them.
+        pictures: Whether the pictures of the recordings are asked if the camera was turned.
+        progress: Told which recording's pictures are looked at.
+
+    Raises:
+        InputError: A file of the scene cannot be used.
+        FitError: No box has fixes near enough on both sides, though logs overlap recordings, or
+            nothing says where on the earth the scene is.
+    """
+    plane = scene.plane
+    pairs = scene_pairs(scene, plane if plane is not None else _middle(scene), extra=extra)
+    anything = len(pairs) or len(scene.control_points)
+    asked = {
+        recording.name: len(recording.boxes()) + len((extra or {}).get(recording.name, ()))
+        for recording in scene.recordings
+        if recording.boxes_path is not None and recording.fixes_path is not None
+    }
+    horizons = {recording.name: scene_horizons(recording) for recording in scene.recordings}
+    return FitInputs(
+        correspondences=pairs,
+        image_size_px=scene.image_size_px,
+        control_points=scene.control_points,
+        position_known=plane is not None or scene.moves,
+        moving=scene.moves,
+        tidal=scene.tidal,
+        horizons={name: seen for name, seen in horizons.items() if seen is not None},
+        stances=scene_stances(scene, progress) if pictures and anything else {},
+        asked=asked,
+        name=str(scene.path),
+    )
+
+
+def _middle(scene: Scene) -> LocalPlane:
+    """A plane in the middle of what is known, for a camera of which nobody knows where it is."""
+    latitudes, longitudes = (
+        [scene.control_points.latitude_deg],
+        [scene.control_points.longitude_deg],
+    )
+    for recording in scene.recordings:
+        if recording.fixes_path is not None and recording.boxes_path is not None:
+            fixes = recording.fixes()
+            latitudes.append(fixes.latitude_deg)
+            longitudes.append(fixes.longitude_deg)
+    if not sum(map(len, latitudes)):
+        raise FitError(
+            f"{scene.path}: nothing says where on the earth the scene is; give [camera] "
+            "latitude_deg and longitude_deg, a log (fixes) with boxes, or [[control_points]]"
+        )
+    return LocalPlane(
+        float(np.median(np.concatenate(latitudes))), float(np.median(np.concatenate(longitudes)))
+    )
+
+
+def scene_pairs(
+    scene: Scene,
+    plane: LocalPlane,
+    *,
+    largest_gap_s: float = LARGEST_GAP_S,
+    extra: Mapping[str, Boxes] | None = None,
+) -> Pairs:
+    """The pairs of all recordings that have boxes and a log.
+
+    Where the camera stands on a platform that moves, places are those that the platform saw: to
+    starboard and ahead of it.
+
+    Args:
+        scene: The scene.
+        plane: The plane of the places.
+        largest_gap_s: A box counts where the fixes on either side are at most this far apart.
+        extra: Further boxes of the logged target, from another source, by recording.
+
+    Raises:
+        FitError: No box has fixes near enough on both sides, though logs overlap recordings.
+        InputError: No recording's log overlaps it, or a file cannot be used.
+    """
+    tidal = scene.tidal
+    parts: list[Pairs] = []
+    silent: list[Recording] = []
+    for recording in scene.recordings:
+        if recording.boxes_path is None or recording.fixes_path is None:
+            continue
+        boxes = recording.boxes()
+        drew = np.unique(boxes.source)
+        if extra and recording.name in extra:
+            boxes = Boxes.concatenate([boxes, extra[recording.name]])
+        asked = len(boxes)
+        place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
+        if len(boxes) and not place.matched.any():
+            silent.append(recording)
+        en_m = np.stack([place.east_m, place.north_m], axis=1)
+        velocity_mps = np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)
+        platform = recording.platform()
+        if platform is not None:
+            pose = platform.pose(boxes.time_utc_s, plane)
+            en_m, velocity_mps = to_bow(en_m, pose), turned(velocity_mps, pose.heading_rad)
+        rows = np.isfinite(en_m).all(axis=1)
+        times = boxes.time_utc_s[rows]
+        parts.append(
+            Pairs(
+                boxes=boxes[rows],
+                recording=np.full(int(rows.sum()), recording.name),
+                east_north_m=en_m[rows],
+                velocity_mps=np.nan_to_num(velocity_mps[rows]),
+                asked=asked,
+                plane=plane,
+                water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
+                beside=~np.isin(boxes.source[rows], drew),
+            )
+        )
+    if silent and len(silent) == len(parts):
+        for recording in silent:
+            check_overlap(
+                recording.boxes().time_utc_s, recording.fixes(), f"recording {recording.name}"
+            )
+        raise FitError(
+            f"{scene.path}: no box has fixes at most {largest_gap_s:g} s apart around it; the log "
+            "has gaps wherever there are boxes"
+        )
+    if not parts:
+        nothing = np.empty((0, 2))
+        return Pairs(Boxes.of([]), np.empty(0, dtype=np.str_), nothing, nothing.copy(), 0, plane)
+    return Pairs(
+        boxes=Boxes.concatenate([part.boxes for part in parts]),
+        recording=np.concatenate([part.recording for part in parts]),
+        east_north_m=np.concatenate([part.east_north_m for part in parts]),
+        velocity_mps=np.concatenate([part.velocity_mps for part in parts]),
+        asked=sum(part.asked for part in parts),
+        plane=plane,
+        water_level_m=np.concatenate([part.water_level_m for part in parts]),
+        beside=np.concatenate([part.beside for part in parts]),
+    )
+
+
+def levels_at(recording: Recording, time_utc_s: FloatArray) -> FloatArray:
+    """(N,) how high the water stood in a recording, metres above the datum.
+
+    Args:
+        recording: One that has a water level.
+        time_utc_s: (N,) POSIX seconds.
+
+    Raises:
+        InputError: Its table cannot be used, or says nothing of a time.
+    """
+    levels = recording.water_levels()
+    assert levels is not None, "all recordings of a tidal scene have one"
+    try:
+        return levels.at(time_utc_s)
+    except InputError as error:
+        raise InputError(f"recording {recording.name}: {error}") from error

@@ -1,0 +1,156 @@
+"""What a detector finds in the pictures of a scene, each decoded as seldom as can be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.camera.shoreline import StillPicture
+from sightline.camera.static_intervals import StanceWatch
+from sightline.detection.metadata import LowerEdge
+from sightline.detection.onnx import OnnxDetector
+from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name
+from sightline.detection.run import Looker, detect, shown, usable
+from sightline.progress import Progress
+from sightline.scene import Recording, Scene
+from sightline.scene.camera_state import remember_stances, stances_known
+from sightline.types import Boxes, FloatArray, Frame
+from sightline.video.reader import frame_count
+
+_EVERY_OF_VIDEO = 25
+
+
+def lower_edges_of(detector: str) -> dict[str, LowerEdge | None]:
+    """Where a detector's boxes end, by the name of their source.
+
+    Args:
+        detector: As `detector_by_name` takes it.
+
+    Raises:
+        InputError: The detector is not known.
+    """
+    made = detector_by_name(detector)
+    return {made.name: made.lower_edge} if isinstance(made, OnnxDetector) else {}
+
+
+class SceneDetections:
+    """What is found in the pictures of a scene, decoded as seldom as can be.
+
+    Whatever wants to look at a recording's pictures at the same time as the detector is shown them
+    in the same pass. A pass holds one picture at a time.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        detector: str | None = DEFAULT_DETECTOR,
+        progress: Progress | None = None,
+        *,
+        stills: bool = False,
+    ) -> None:
+        """Take the detector's name.
+
+        Args:
+            scene: Whose recordings are to be looked at.
+            detector: As `detector_by_name` takes it; None: no boxes are asked for.
+            progress: Told how far it is.
+            stills: Whether still pictures will be asked for too: then they are made in the
+                detector's pass, and none of their own is needed.
+
+        Raises:
+            InputError: The detector is not known.
+        """
+        # Unknown names are told before the work begins.
+        self._lower_edges = lower_edges_of(detector) if detector is not None else {}
+        self._scene = scene
+        self._detector = detector
+        self._tell = progress or (lambda _what, _share: None)
+        self._stills_wanted = stills
+        self._found: dict[str, tuple[Boxes, FloatArray]] = {}
+        self._stills: dict[str, NDArray[np.uint8]] = {}
+
+    @property
+    def lower_edges(self) -> Mapping[str, LowerEdge | None]:
+        """Where the boxes of each source end, as far as the detectors' files tell."""
+        return self._lower_edges
+
+    def boxes(self, recording: Recording) -> Boxes:
+        """The boxes in a recording's pictures, with their times.
+
+        Raises:
+            InputError: The pictures cannot be read, have no times, or another size than the
+                scene's.
+        """
+        self._detect(recording)
+        return self._found[recording.name][0]
+
+    def times_utc_s(self, recording: Recording) -> FloatArray:
+        """(N,) the times of its pictures; raises as `boxes`."""
+        self._detect(recording)
+        return self._found[recording.name][1]
+
+    def still(self, recording: Recording) -> NDArray[np.uint8]:
+        """(H, W) grey: what stands still in a recording's pictures; see `StillPicture`.
+
+        Raises:
+            InputError: The pictures cannot be read.
+        """
+        if recording.name not in self._stills:
+            looker = still_picture(recording)
+            for frame in recording.frames():
+                looker.look(frame)
+                if looker.seen_enough:
+                    break
+            self._stills[recording.name] = looker.picture()
+        return self._stills[recording.name]
+
+    def _detect(self, recording: Recording) -> None:
+        """Let the detector look at a recording's pictures, if it has not yet."""
+        assert recording.source is not None, "a recording has boxes, detections or pictures"
+        if recording.name in self._found:
+            return
+        assert self._detector is not None, "boxes are asked for where there is a detector"
+        times = _Times()
+        lookers: list[Looker] = [times]
+        still: StillPicture | None = None
+        if self._stills_wanted and recording.name not in self._stills:
+            still = still_picture(recording)
+            lookers.append(still)
+        stances: StanceWatch | None = None
+        still_standing = self._scene.camera.watched and recording.platform_path is None
+        if still_standing and not stances_known(recording):
+            stances = StanceWatch()
+            lookers.append(stances)
+        where = f"recording {recording.name}"
+        frames = usable(recording.frames(), self._scene.image_size_px, where)
+        found = list(
+            detect(
+                shown(frames, lookers),
+                detector_by_name(self._detector),
+                frame_count(recording.source),
+                lambda _what, share: self._tell(f"detecting in {recording.name}", share),
+            )
+        )
+        self._found[recording.name] = Boxes.concatenate(found), np.array(times.utc_s)
+        if stances is not None:
+            remember_stances(recording, stances.stances)
+        if still is not None:
+            self._stills[recording.name] = still.picture()
+
+
+class _Times:
+    """Notes when pictures were taken."""
+
+    def __init__(self) -> None:
+        self.utc_s: list[float] = []
+
+    def look(self, frame: Frame) -> None:
+        self.utc_s.append(frame.time_utc_s)
+
+
+def still_picture(recording: Recording) -> StillPicture:
+    """The median of the pictures of a recording, to be shown them from the first one on."""
+    # A folder holds pictures that somebody chose; in a video neighbours show the same waves.
+    return StillPicture(every=1 if recording.frames_path is not None else _EVERY_OF_VIDEO)

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sightline.camera.calibration import CameraFit
+from sightline.camera.pinhole import PARAMETERS
+from sightline.evaluation.comparison import Comparison
+from sightline.georeferencing.camera_regressor import CameraRegressor
+from sightline.georeferencing.correspondences import Pairs
+from sightline.pipeline.evaluate import compare
+from sightline.scene import Scene
+from sightline.scene.correspondences import scene_pairs
+
+
+@pytest.fixture(scope="module")
+def scene(data_dir: Path) -> Scene:
+    return Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
+
+
+@pytest.fixture(scope="module")
+def comparison(scene: Scene) -> Comparison:
+    return compare(scene, ("camera+gpr", "qkr"))[0]
+
+
+@pytest.fixture(scope="module")
+def pairs(scene: Scene) -> Pairs:
+    assert scene.plane is not None
+    return scene_pairs(scene, scene.plane)
+
+
+@pytest.fixture(scope="module")
+def full(scene: Scene, pairs: Pairs) -> CameraFit:
+    return fit_pairs(scene, pairs, starts=20)
+
+
+def fit_pairs(scene: Scene, pairs: Pairs, *, starts: int) -> CameraFit:
+    model = CameraRegressor(scene.image_size_px, residual=False, starts=starts).fit(
+        pairs.boxes.xyxy_px,
+        pairs.east_north_m,
+        source=pairs.boxes.source,
+        group=pairs.recording,
+        velocity_mps=pairs.velocity_mps,
+    )
+    return model.fit_
+
+
+def test_a_recording_left_out_is_placed_within_a_few_metres(comparison: Comparison) -> None:
+    report = comparison.models["camera+gpr"]
+    assert report.ape.n == 125
+    assert report.ape.rmse <= 8.5
+    assert report.ape.median <= 4.8
+    assert 0.90 <= report.coverage.p95 <= 0.98
+
+
+def test_smoothing_brings_it_nearer(comparison: Comparison) -> None:
+    smooth = comparison.smoothed["camera+gpr"]
+    assert smooth.ape.rmse < comparison.models["camera+gpr"].ape.rmse
+    assert 0.88 <= smooth.coverage.p95 <= 0.99
+
+
+def test_the_kernel_regression_of_the_paper_is_as_far_off_as_before(
+    comparison: Comparison,
+) -> None:
+    report = comparison.models["qkr"]
+    assert report.ape.n == 125
+    assert report.ape.rmse == pytest.approx(28.4, abs=0.5)
+
+
+def test_nearly_all_random_starts_end_at_one_camera(full: CameraFit) -> None:
+    assert full.starts == 20
+    assert full.starts_agreeing >= 19
+
+
+def test_halves_of_the_boxes_agree_with_all_of_them(
+    scene: Scene, pairs: Pairs, full: CameraFit
+) -> None:
+    rng = np.random.default_rng(20)
+    count = len(PARAMETERS)
+    for _ in range(20):
+        rows = []
+        for name in np.unique(pairs.recording):
+            own = rng.permutation(np.flatnonzero(pairs.recording == name))
+            rows.append(own[: max(1, own.size // 2)])
+        half = fit_pairs(scene, pairs[np.sort(np.concatenate(rows))], starts=1)
+        off = half.vector[:count] - full.vector[:count]
+        off[3] = np.arctan2(np.sin(off[3]), np.cos(off[3]))
+        variance = np.diag(half.covariance)[:count] + np.diag(full.covariance)[:count]
+        assert (np.abs(off) < 3.0 * np.sqrt(variance)).all()
