@@ -91,6 +91,44 @@ def test_times_of_a_timed_clock_are_as_uncertain_as_stated() -> None:
     assert 0.7 < np.std(standardised) < 1.2
 
 
+def test_between_two_known_times_the_uncertainty_is_that_of_a_rate_that_wanders() -> None:
+    """Many cameras whose rate is noise, brought to the same two ends: how far apart are they?"""
+    frames, duration_s, wander = 100, 5.0, 0.04
+    rng = np.random.default_rng(4)
+    steps_s = duration_s / frames + rng.normal(
+        0.0, wander * duration_s / np.sqrt(frames), (20_000, frames)
+    )
+    times_s = np.cumsum(steps_s, axis=1)
+    share = np.arange(1, frames + 1) / frames
+    times_s += share * (duration_s - times_s[:, -1:])
+    at = np.array([10, 25, 50, 90])
+    spread_s = times_s[:, at - 1].std(axis=0)
+    known = FrameClock(
+        np.array([0, frames]), np.array([1.6e9, 1.6e9 + duration_s]), np.zeros(2), wander
+    )
+    np.testing.assert_allclose(known.sigma_s(at), spread_s, rtol=0.03)
+    np.testing.assert_array_equal(known.sigma_s([0, frames]), 0.0)
+    # What is unsure at the ends comes on top.
+    unsure = FrameClock(known.frame, known.knot_utc_s, np.full(2, 0.1), wander)
+    np.testing.assert_allclose(unsure.sigma_s(at), np.hypot(0.1, spread_s), rtol=0.03)
+
+
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_the_ends_of_a_clock_do_not_reach_beyond_a_reading_that_nobody_saw(end: str) -> None:
+    """The camera is three times as fast in the first or the last stretch, of whose readings one
+    is seen: the timer, and not the rate of the neighbour, says how long it lasted."""
+    period_s, frame_s = 5.0, 0.1
+    stretches = [np.arange(0.0, period_s, frame_s) + period_s * i for i in range(8)]
+    fast = 0 if end == "first" else -1
+    stretches[fast] = stretches[fast][0] + np.arange(0.0, period_s, frame_s / 3.0)
+    times = 1.6e9 + 0.3 + np.concatenate(stretches)
+    stamps = np.repeat([1.6e9 + period_s * i for i in range(8)], [len(s) for s in stretches])
+    clock = stamped_clock(np.arange(times.size), stamps)
+    error_s = clock.time_utc_s(np.arange(times.size)) - times
+    # What a reading cut off is not known to better than a second.
+    assert np.abs(error_s).max() < 1.0
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),

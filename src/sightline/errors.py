@@ -1,5 +1,9 @@
 """The errors that are the user's to mend, all under one root."""
 
+from __future__ import annotations
+
+import os
+
 
 class SightlineError(Exception):
     """Root of every expected error: one line that says what is wrong, where, and what mends it.
@@ -29,3 +33,13 @@ def unknown_name(kind: str, name: str, known: list[str] | tuple[str, ...]) -> In
         known: The names that would have been right.
     """
     return InputError(f"unknown {kind} {name!r}; known are {', '.join(known)}")
+
+
+def no_scene_file(path: str | os.PathLike[str]) -> InputError:
+    """An `InputError` for a scene file that is not there."""
+    return InputError(f"{path}: there is no such scene file")
+
+
+def no_model_file(path: str | os.PathLike[str]) -> ModelFileError:
+    """A `ModelFileError` for a model file that is not there."""
+    return ModelFileError(f"{path}: there is no such model file; `sightline fit` writes one")

@@ -332,7 +332,7 @@ def test_demo_runs_the_whole_way(
     sightline: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small = partial(simulate, image_size_px=(320, 180), rate_hz=6.0)
-    monkeypatch.setattr(sys.modules["sightline.cli.demo"], "simulate_harbour", small)
+    monkeypatch.setattr(sys.modules["sightline.simulation.simulate"], "simulate", small)
     out = tmp_path / "demo"
     done = sightline("demo", "-o", out, "--duration", 3, "--json", tmp_path / "d.json")
     assert (done.status, done.err) == (0, "")

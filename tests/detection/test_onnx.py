@@ -178,6 +178,32 @@ def test_the_best_of_overlapping_boxes_of_a_class_stays(constant_file: MakeFile)
     ]
 
 
+def test_boxes_end_where_the_frame_does(constant_file: MakeFile) -> None:
+    """What a network puts beyond the picture, or into the grey beside it, nobody saw."""
+    in_frame = np.array(
+        [
+            [-20, 100, 30, 120],
+            [300, -10, 350, 25],
+            [140, 190, 180, 230],
+            [150, 100, 190, 120],
+            [330, 100, 350, 120],
+            [100, 210, 140, 240],
+        ]
+    )
+    # A frame of 320 x 200 px lies in the middle of the square that the network takes.
+    shown = (in_frame + np.array([0, 60, 0, 60])).tolist()
+    scores = (0.9, 0.8, 0.7, 0.6, 0.5, 0.4)
+    file = constant_file(head(*((box, 8, s) for box, s in zip(shown, scores, strict=True))))
+    detector = OnnxDetector(file, options=DetectorOptions(views=WHOLE))
+    boxes = detector.detect(bright(size=(320, 200)))
+    np.testing.assert_allclose(
+        boxes.xyxy_px,
+        [[0, 100, 30, 120], [300, 0, 320, 25], [140, 190, 180, 200], [150, 100, 190, 120]],
+        atol=1e-4,
+    )
+    np.testing.assert_allclose(boxes.confidence, [0.9, 0.8, 0.7, 0.6], atol=1e-6)
+
+
 def test_only_boxes_of_the_classes_that_are_asked_for(constant_file: MakeFile) -> None:
     rows = head(([100, 100, 140, 120], 8, 0.6), ([200, 100, 240, 120], 2, 0.7))
     # A thing that is most like a car is still somewhat like a boat.

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from sightline.errors import InputError
 from sightline.formats import read_ais, read_fixes, write_fixes
+from sightline.formats.ais import read_ais_feed
 from sightline.types import Fixes
 
 GPX = '<gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{}</trkseg></trk></gpx>'
@@ -216,6 +217,41 @@ def test_ais_reports_come_in_the_order_of_time_and_once(tmp_path: Path) -> None:
         f"{NOON_S + 9:.0f} {late}\n{NOON_S + 10:.0f} {early}\n{NOON_S + 11:.0f} {late}\n"
     )
     np.testing.assert_array_equal(read_fixes(path).time_utc_s - NOON_S, [3.0, 9.0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "speed", "course", "velocity_mps"),
+    [
+        # ITU-R M.1371: 1023 tenths of a knot and 3600 tenths of a degree are "not available".
+        (1, 10.0, 90.0, (10.0 * 1852.0 / 3600.0, 0.0)),
+        (1, 102.3, 90.0, None),
+        (1, 10.0, 360.0, None),
+        (18, 102.3, 90.0, None),
+        (18, 10.0, 360.0, None),
+        (19, 10.0, 180.0, (0.0, -10.0 * 1852.0 / 3600.0)),
+        (1, 102.2, 90.0, (102.2 * 1852.0 / 3600.0, 0.0)),
+        # Long-range reports are coarser: 63 knots and 511 degrees.
+        (27, 10.0, 90.0, (10.0 * 1852.0 / 3600.0, 0.0)),
+        (27, 63.0, 90.0, None),
+        (27, 10.0, 511.0, None),
+        # A fast ferry is no missing value where knots have tenths.
+        (1, 63.0, 90.0, (63.0 * 1852.0 / 3600.0, 0.0)),
+    ],
+)
+def test_ais_velocities_and_those_that_are_not_available(
+    tmp_path: Path,
+    kind: int,
+    speed: float,
+    course: float,
+    velocity_mps: tuple[float, float] | None,
+) -> None:
+    path = tmp_path / "log.ais"
+    path.write_text(f"{NOON_S + 7:.0f} {report(kind, speed=speed, course=course)[0]}\n")
+    (vessel,) = read_ais_feed(path).values()
+    wanted = (np.nan, np.nan) if velocity_mps is None else velocity_mps
+    np.testing.assert_allclose(vessel.velocity_mps[0], wanted, atol=1e-9)
+    # The position is as good as any.
+    assert vessel.fixes.latitude_deg[0] == pytest.approx(32.7, abs=1e-3)
 
 
 def test_ais_positions_that_are_not_available(tmp_path: Path) -> None:

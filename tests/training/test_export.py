@@ -11,11 +11,11 @@ import pytest
 
 pytest.importorskip("torch")
 
-import onnxruntime
 import torch
 from torch import nn
 
 from sightline.cli import main
+from sightline.detection import _onnxruntime
 from sightline.detection.classes import COCO
 from sightline.detection.decoders import Outputs, decoder_by_name
 from sightline.detection.metadata import KEY, read_metadata
@@ -93,7 +93,7 @@ def test_a_file_finds_what_the_network_finds(
         (wanted,) = trainable.predict(batch, 0.3)
     assert len(wanted.scores) > 0
 
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = _onnxruntime.load().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     said = read_metadata(str(path), session.get_modelmeta().custom_metadata_map)
     assert said is not None
     arrays = tuple(session.run(None, {"images": batch.numpy()}))
@@ -119,7 +119,7 @@ def test_the_real_network_agrees_with_its_file_to_four_digits(
     trainable = load_darknet(f"{source}.cfg", f"{source}.weights")
     path = tmp_path / "fastest.onnx"
     assert export_onnx(trainable, path) < 1e-4
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = _onnxruntime.load().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     picture = torch.rand(2, 3, 224, 416, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
         wanted = trainable.module(picture)
@@ -130,7 +130,7 @@ def test_the_real_network_agrees_with_its_file_to_four_digits(
 def test_a_file_says_what_it_is(tmp_path: Path) -> None:
     trainable = build("yolov4", CLASSES, cfg="yolov4-tiny")
     export_onnx(trainable, tmp_path / "a.onnx", size_px=(320, 200), fixed=True)
-    session = onnxruntime.InferenceSession(str(tmp_path / "a.onnx"))
+    session = _onnxruntime.load().InferenceSession(str(tmp_path / "a.onnx"))
     assert session.get_inputs()[0].shape == [1, 3, 224, 320]
     said = read_metadata("a.onnx", session.get_modelmeta().custom_metadata_map)
     assert said is not None
@@ -334,7 +334,7 @@ def test_darknet_files_are_exported_from_the_command_line(data_dir: Path, tmp_pa
     content = json.loads(told.read_text())
     assert content["classes"] == list(COCO)
     assert content["export_difference"] < 1e-4
-    said = onnxruntime.InferenceSession(str(out)).get_modelmeta().custom_metadata_map[KEY]
+    said = _onnxruntime.load().InferenceSession(str(out)).get_modelmeta().custom_metadata_map[KEY]
     assert json.loads(said)["default_classes"] == ["boat"]
 
 

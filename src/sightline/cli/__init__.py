@@ -51,12 +51,13 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
+    context: typer.Context,
     debug: bool = typer.Option(False, help="Show the traceback of an error."),
     _version: bool = typer.Option(
         False, "--version", callback=_print_version, is_eager=True, help="Show the version."
     ),
 ) -> None:
-    common.settings.debug = debug
+    context.ensure_object(common.Settings).debug = debug
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -80,11 +81,12 @@ class _Warnings(logging.Handler):
 
 def _run(arguments: list[str] | None) -> int:
     warnings = _Warnings()
+    settings = common.Settings()
     logging.getLogger("sightline").addHandler(warnings)
     try:
-        status = app(args=arguments, standalone_mode=False)
+        status = app(args=arguments, standalone_mode=False, obj=settings)
     except SightlineError as error:
-        if common.settings.debug:
+        if settings.debug:
             traceback.print_exc()
         return _refuse(str(error))
     except _CommandError as error:

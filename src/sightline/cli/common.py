@@ -10,16 +10,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from sightline.errors import InputError
-from sightline.evaluation.comparison import number, percent
-from sightline.evaluation.forecast import ForecastError
-from sightline.evaluation.report import Report, write_json
-from sightline.progress import Progress as Tell
+from sightline.errors import InputError, no_model_file, no_scene_file
+
+if TYPE_CHECKING:
+    from sightline.evaluation.forecast import ForecastError
+    from sightline.evaluation.report import Report
+    from sightline.progress import Progress as Tell
 
 
 class _Console(Console):
@@ -42,9 +43,6 @@ class Settings:
     """
 
     debug: bool = False
-
-
-settings = Settings()
 
 
 def say(line: str = "") -> None:
@@ -80,6 +78,8 @@ def progress() -> Iterator[Tell]:
 def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
     """Write a command's result where ``--json`` says, if it does."""
     if path is not None:
+        from sightline.evaluation.report import write_json
+
         write_json(path, content)
 
 
@@ -93,6 +93,30 @@ def keep_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | Non
     for path in outputs:
         if path is not None and os.path.realpath(path) in read:
             raise InputError(f"{path}: is read by this command; give the result another name")
+
+
+def check_scene_is_there(path: Path) -> None:
+    """Refuse a scene file that does not exist, before the library is loaded that reads it.
+
+    Raises:
+        InputError: There is none. What else can be wrong with it is left to its reader.
+    """
+    try:
+        path.stat()
+    except FileNotFoundError as error:
+        raise no_scene_file(path) from error
+    except OSError:
+        return
+
+
+def check_model_is_there(path: Path | None) -> None:
+    """Refuse a model file that does not exist, before the library is loaded that reads it.
+
+    Raises:
+        ModelFileError: There is none.
+    """
+    if path is not None and not path.is_file():
+        raise no_model_file(path)
 
 
 @contextmanager
@@ -119,6 +143,8 @@ def folder_for_results(path: Path) -> Iterator[Path]:
 
 def describe(report: Report, what: str) -> str:
     """A report in a line or two."""
+    from sightline.evaluation.comparison import number, percent
+
     ape, cover = report.ape, report.coverage
     with_log = ""
     if cover.log_sigma_m > 0.0:
@@ -135,6 +161,8 @@ def describe(report: Report, what: str) -> str:
 
 def describe_forecast(error: ForecastError, what: str) -> str:
     """The error of forecasts in a line, beside what the log itself would have foretold."""
+    from sightline.evaluation.comparison import number, percent
+
     beside = error.beside_log
     return (
         f"{what}: {error.n} pairs, RMSE {number(error.rmse)} m, median {number(error.median)} m, "

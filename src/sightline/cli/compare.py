@@ -7,16 +7,10 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import keep_apart, progress, say, stdout
+from sightline.cli.common import check_scene_is_there, keep_apart, progress, say, stdout
+from sightline.cli.defaults import MODELS
 from sightline.cli.options import JsonOption, SceneArgument, SeedOption
 from sightline.cli.parsing import parse_names
-from sightline.evaluation.comparison import overview_table, paper_table
-from sightline.georeferencing.models import MODELS
-from sightline.pipeline.evaluate import compare as compare_models
-from sightline.reporting.page import write_page
-from sightline.reporting.plots import MapPanel, map_figure, save_figure
-from sightline.reporting.run_report import compare_page, single_pairs
-from sightline.scene import Scene
 
 
 def compare(
@@ -45,6 +39,14 @@ def compare(
 ) -> None:
     """Leave one recording out at a time, and print the paper's Table 2."""
     keep_apart([map_file, report, json], [scene])
+    check_scene_is_there(scene)
+    from sightline.evaluation.comparison import overview_table, paper_table
+    from sightline.pipeline.evaluate import compare as compare_models
+    from sightline.reporting.page import write_page
+    from sightline.reporting.plots import MapPanel, map_figure, save_figure
+    from sightline.reporting.run_report import compare_page, single_pairs
+    from sightline.scene import Scene
+
     loaded = Scene.load(scene)
     with progress() as tell:
         result, placed = compare_models(

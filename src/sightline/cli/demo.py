@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import folder_for_results, progress, say, write_result
+from sightline.cli.common import (
+    folder_for_results,
+    progress,
+    say,
+    write_result,
+)
 from sightline.cli.options import JsonOption, SeedOption
 from sightline.cli.run import result_dict, tell_result
-from sightline.pipeline.run import run as run_scene
-from sightline.reporting.run_report import write_run
-from sightline.scene import Scene
-from sightline.simulation.simulate import simulate as simulate_harbour
 
 
 def demo(
@@ -31,6 +32,11 @@ def demo(
     The camera is learned from the boxes and the log of two recordings; the third is given as a
     video alone, in which a detector has to find the boats.
     """
+    from sightline.pipeline.run import run as run_scene
+    from sightline.reporting.run_report import write_run
+    from sightline.scene import Scene
+    from sightline.simulation.simulate import simulate as simulate_harbour
+
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
             folder / "harbour",

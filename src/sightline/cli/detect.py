@@ -8,8 +8,14 @@ from typing import Annotated
 
 import typer
 
-from sightline import formats, video
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import (
+    check_model_is_there,
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
+from sightline.cli.defaults import DEFAULT_DETECTOR
 from sightline.cli.options import (
     ClassesOption,
     ClockOption,
@@ -24,13 +30,7 @@ from sightline.cli.options import (
     detector_options,
 )
 from sightline.cli.parsing import parse_time
-from sightline.detection import DEFAULT_DETECTOR
-from sightline.detection import detect as detected
-from sightline.detection.run import same_size
 from sightline.errors import InputError
-from sightline.georeferencing.georeferencer import load_model
-from sightline.pipeline.sources import is_table, make_detector
-from sightline.video.reader import frame_count
 
 
 def detect(
@@ -60,10 +60,18 @@ def detect(
 ) -> None:
     """Find boxes in a video, a folder of frames or a stream."""
     keep_apart([output, json], [source, model, clock])
-    if is_table(source):
-        raise InputError(f"{source}: is a table; boxes are found in a video, frames or a stream")
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video or folder")
+    check_model_is_there(model)
+    from sightline import formats, video
+    from sightline.detection import detect as detected
+    from sightline.detection.run import same_size
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.sources import is_table, make_detector
+    from sightline.video.reader import frame_count
+
+    if is_table(source):
+        raise InputError(f"{source}: is a table; boxes are found in a video, frames or a stream")
     options = detector_options(decoder, classes, threshold, provider, views)
     fitted = load_model(model) if model is not None else None
     found = make_detector(detector, fitted, options)

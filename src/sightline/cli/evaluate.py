@@ -7,14 +7,17 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import describe, describe_forecast, keep_apart, say
+from sightline.cli.common import (
+    check_model_is_there,
+    check_scene_is_there,
+    describe,
+    describe_forecast,
+    keep_apart,
+    say,
+)
+from sightline.cli.defaults import DEFAULT_TRAJECTORY
 from sightline.cli.options import JsonOption
 from sightline.errors import InputError
-from sightline.georeferencing.georeferencer import load_model
-from sightline.pipeline.evaluate import evaluate as evaluate_any
-from sightline.pipeline.track import DEFAULT_TRAJECTORY
-from sightline.scene import Scene
-from sightline.tracks import Tracks
 
 
 def evaluate(
@@ -60,6 +63,12 @@ def evaluate(
             raise InputError("a scene is scored with a fitted model; give --model MODEL")
         if fixes is not None:
             raise InputError("a scene names its own logs; give --fixes with tracks only")
+        check_scene_is_there(what)
+        check_model_is_there(model)
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.evaluate import evaluate as evaluate_any
+        from sightline.scene import Scene
+
         report = evaluate_any(
             Scene.load(what),
             model=load_model(model),
@@ -75,6 +84,11 @@ def evaluate(
             )
         if fixes is None:
             raise InputError("tracks are scored against a log; give --fixes LOG")
+        check_model_is_there(model)
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.evaluate import evaluate as evaluate_any
+        from sightline.tracks import Tracks
+
         plane = load_model(model).plane if model is not None else None
         tracks = Tracks.read(what, plane=plane)
         report = evaluate_any(tracks, fixes=fixes, track_id=track_id, mmsi=mmsi, delta_s=delta_s)

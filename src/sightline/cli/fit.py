@@ -7,8 +7,15 @@ from typing import Annotated
 
 import typer
 
-from sightline.association.associate import LARGEST_OFFSET_S
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import (
+    check_model_is_there,
+    check_scene_is_there,
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
+from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_MODEL, LARGEST_OFFSET_S
 from sightline.cli.options import (
     DetectorOption,
     JsonOption,
@@ -16,11 +23,6 @@ from sightline.cli.options import (
     SceneArgument,
     SeedOption,
 )
-from sightline.detection import DEFAULT_DETECTOR
-from sightline.georeferencing.georeferencer import load_model
-from sightline.georeferencing.models import DEFAULT_MODEL
-from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
-from sightline.scene import Scene
 
 
 def fit(
@@ -61,6 +63,12 @@ def fit(
     among what the detector finds in their pictures.
     """
     keep_apart([output, json], [scene, update])
+    check_scene_is_there(scene)
+    check_model_is_there(update)
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
+    from sightline.scene import Scene
+
     with progress() as tell:
         tell(f"fitting {model}", float("nan"))
         loaded = Scene.load(scene)

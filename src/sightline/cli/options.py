@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline.cli.defaults import DECODERS, PROVIDERS, VIEWS
 from sightline.cli.parsing import parse_names
-from sightline.detection import VIEWS, DetectorOptions, ViewSettings
-from sightline.detection.decoders import DECODERS
-from sightline.detection.onnx import PROVIDERS
 from sightline.errors import unknown_name
+
+if TYPE_CHECKING:
+    from sightline.detection import DetectorOptions
 
 # Of nearly every command.
 
@@ -127,6 +128,8 @@ def detector_options(
     """
     if views is not None and views not in VIEWS:
         raise unknown_name("kind of views", views, VIEWS)
+    from sightline.detection import DetectorOptions, ViewSettings
+
     return DetectorOptions(
         decoder=decoder,
         classes=parse_names(classes) if classes is not None else None,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sightline.cli.common import (
+    check_scene_is_there,
     describe,
     folder_for_results,
     keep_apart,
@@ -15,6 +16,7 @@ from sightline.cli.common import (
     say,
     write_result,
 )
+from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_MODEL, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
     DetectorOption,
     IntervalOption,
@@ -24,13 +26,9 @@ from sightline.cli.options import (
     SeedOption,
     TrajectoryOption,
 )
-from sightline.detection import DEFAULT_DETECTOR
-from sightline.georeferencing.models import DEFAULT_MODEL
-from sightline.pipeline.run import RunResult
-from sightline.pipeline.run import run as run_scene
-from sightline.pipeline.track import DEFAULT_TRAJECTORY, TrackSettings
-from sightline.reporting.run_report import write_run
-from sightline.scene import Scene
+
+if TYPE_CHECKING:
+    from sightline.pipeline.run import RunResult
 
 
 def run(
@@ -47,6 +45,12 @@ def run(
 ) -> None:
     """The main job: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene])
+    check_scene_is_there(scene)
+    from sightline.pipeline.run import run as run_scene
+    from sightline.pipeline.track import TrackSettings
+    from sightline.reporting.run_report import write_run
+    from sightline.scene import Scene
+
     loaded = Scene.load(scene)
     with folder_for_results(output) as folder, progress() as tell:
         result = run_scene(

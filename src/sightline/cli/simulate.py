@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sightline.cli.common import folder_for_results, progress, say, write_result
 from sightline.cli.options import JsonOption, SeedOption
-from sightline.simulation.simulate import ClockKind
-from sightline.simulation.simulate import simulate as simulate_harbour
+
+if TYPE_CHECKING:
+    from sightline.simulation.simulate import ClockKind
 
 
 def simulate(
@@ -31,6 +32,8 @@ def simulate(
     json: JsonOption = None,
 ) -> None:
     """Write a synthetic harbour: videos, clocks, boxes, logs, the truth, and a scene."""
+    from sightline.simulation.simulate import simulate as simulate_harbour
+
     kind: ClockKind = clock  # type: ignore[assignment]
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(

@@ -6,12 +6,18 @@ import os
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline import formats
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import (
+    check_model_is_there,
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
+from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
     ClockOption,
     DetectorOption,
@@ -21,11 +27,10 @@ from sightline.cli.options import (
     TrajectoryOption,
 )
 from sightline.cli.parsing import parse_time, parse_water_level
-from sightline.detection import DEFAULT_DETECTOR
 from sightline.errors import InputError
-from sightline.georeferencing.georeferencer import load_model
-from sightline.pipeline.track import DEFAULT_TRAJECTORY, TrackSettings, iter_tracks
-from sightline.types import Track
+
+if TYPE_CHECKING:
+    from sightline.types import Track
 
 
 def track(
@@ -95,6 +100,11 @@ def track(
     water = parse_water_level(water_level)
     table = water if isinstance(water, Path) else None
     keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon, table])
+    check_model_is_there(model)
+    from sightline import formats
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.track import TrackSettings, iter_tracks
+
     fitted = load_model(model)
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video, folder or table")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.camera.horizon_tracker import HorizonFinder
+from sightline.detection import _onnxruntime
 from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.letterbox import Letterbox
@@ -432,15 +433,11 @@ def _line(error: Exception) -> str:
 
 def available_providers() -> tuple[str, ...]:
     """Those of `PROVIDERS` that the installed ONNX Runtime has."""
-    import onnxruntime
-
-    there = onnxruntime.get_available_providers()
+    there = _onnxruntime.load().get_available_providers()
     return tuple(name for name, full in PROVIDERS.items() if full in there)
 
 
 def _session(where: str, options: DetectorOptions) -> Any:
-    import onnxruntime
-
     path = Path(where)
     if not path.is_file():
         raise InputError(f"{where}: there is no such ONNX file")
@@ -456,8 +453,7 @@ def _session(where: str, options: DetectorOptions) -> Any:
         # What TensorRT cannot do is done by CUDA, and what that cannot by the CPU.
         order = ("tensorrt", "cuda", "cpu")
         chosen = [name for name in order[order.index(wanted) :] if name in available]
-    # Newer releases have telemetry; what somebody films is nobody else's business.
-    onnxruntime.disable_telemetry_events()
+    onnxruntime = _onnxruntime.load()
     settings = onnxruntime.SessionOptions()
     settings.log_severity_level = 4
     if options.threads is not None:

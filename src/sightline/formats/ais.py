@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 import pyais
@@ -38,6 +39,7 @@ _ISO_TIME = re.compile(
 )
 _POSIX_TIME = re.compile(r"(?<![\w.])(\d{13}|\d{10}(?:\.\d+)?)(?![\w.])")
 _KNOT_MPS = 1852.0 / 3600.0
+_LONG_RANGE = 27
 _WAITING = 64
 """How many unfinished messages are remembered; their parts follow each other closely."""
 
@@ -175,7 +177,7 @@ def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
                 _refined_s(time_s, second) if second < 60 else time_s,
                 float(message.lat),
                 float(message.lon),
-                _velocity_mps(message.speed, message.course),
+                _velocity_mps(message),
             )
     if not usable and untimed:
         raise InputError(
@@ -189,10 +191,12 @@ def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
         _logger.warning("%s: %d AIS messages are spoilt and left out", path, spoilt)
 
 
-def _velocity_mps(speed_knots: float, course_deg: float) -> tuple[float, float]:
+def _velocity_mps(message: Any) -> tuple[float, float]:
     """East and north, metres a second; NaN where one of the two is not available."""
-    # 102.3 knots (63 in type 27) and 360 degrees (511 in type 27) say so.
-    if not (speed_knots < 102.3 and course_deg < 360.0):
+    speed_knots, course_deg = message.speed, message.course
+    # 102.3 knots and 360 degrees say so, in type 27 it is 63 knots and 511 degrees.
+    no_speed_knots = 63.0 if message.msg_type == _LONG_RANGE else 102.3
+    if not (speed_knots < no_speed_knots and course_deg < 360.0):
         return float("nan"), float("nan")
     speed, course = speed_knots * _KNOT_MPS, np.radians(course_deg)
     return float(speed * np.sin(course)), float(speed * np.cos(course))

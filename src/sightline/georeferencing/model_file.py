@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from sightline.atomic import atomic_path
-from sightline.errors import ModelFileError
+from sightline.errors import ModelFileError, no_model_file
 
 FORMAT = "sightline-model"
 FORMAT_VERSION = 2
@@ -103,7 +103,7 @@ def damaged(path: str | os.PathLike[str], error: Exception) -> ModelFileError:
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
     if not path.is_file():
-        raise ModelFileError(f"{path}: there is no such model file; `sightline fit` writes one")
+        raise no_model_file(path)
     try:
         with safe_open(path, framework="numpy") as file:
             return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping

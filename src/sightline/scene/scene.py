@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from sightline import formats, video
 from sightline.clock import Clock, presentation_clock
-from sightline.errors import InputError, unknown_name
+from sightline.errors import InputError, no_scene_file, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
@@ -518,7 +518,7 @@ def _parse(path: Path) -> _SceneTable:
         # Some editors begin a file with a byte order mark.
         content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
-        raise InputError(f"{path}: there is no such scene file") from error
+        raise no_scene_file(path) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import onnxruntime
 import torch
 from matplotlib.figure import Figure
 
 from sightline.atomic import atomic_path
+from sightline.detection import _onnxruntime
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
 from sightline.errors import InputError, SightlineError, unknown_name
 from sightline.evaluation.comparison import number
@@ -291,7 +291,7 @@ def hardware(device: str = "auto") -> dict[str, Any]:
         "training_device": str(used),
         "gpu": torch.cuda.get_device_name(used) if used.type == "cuda" else None,
         "frames_on": "cpu",
-        "onnxruntime": onnxruntime.__version__,
+        "onnxruntime": _onnxruntime.load().__version__,
         **versions(),
     }
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import torch
 from numpy.typing import NDArray
 from torch import nn
 
 from sightline import _optional
 from sightline.atomic import atomic_path
+from sightline.detection import _onnxruntime
 from sightline.errors import SightlineError
 from sightline.training.architecture import ExportInfo, Trainable
 
@@ -251,7 +251,7 @@ def _difference(
     pictures: Sequence[NDArray[np.uint8]],
 ) -> tuple[float, float]:
     """How far file and network are apart, and the largest output."""
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = _onnxruntime.load().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     stride = info.input_format.stride
     shapes = [shape]
     if info.dynamic_size:

@@ -9,7 +9,14 @@ import typer
 from rich.table import Table
 
 from sightline import _optional
-from sightline.cli.common import keep_apart, progress, say, stdout, write_result
+from sightline.cli.common import (
+    keep_apart,
+    progress,
+    say,
+    stdout,
+    write_result,
+)
+from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
     CropSizeOption,
@@ -32,8 +39,6 @@ from sightline.cli.parsing import (
     parse_pair,
     parse_size_px,
 )
-from sightline.scene import Scene
-from sightline.training.architecture import ARCHITECTURES
 
 
 def compare(
@@ -85,7 +90,7 @@ def compare(
 ) -> None:
     """Train detectors alike and measure them on recordings that none has seen."""
     _optional.module("torch", "train")
-    # Late: without torch the other commands must work.
+    from sightline.scene import Scene
     from sightline.training.augmentation import Augmentation
     from sightline.training.comparison import (
         COMPARISON,

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import (
+    check_model_is_there,
+    check_scene_is_there,
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
+from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_IOU
 from sightline.cli.options import (
     ClassesOption,
     DecoderOption,
@@ -22,20 +30,9 @@ from sightline.cli.options import (
     detector_options,
 )
 from sightline.cli.parsing import parse_names
-from sightline.detection import DEFAULT_DETECTOR, OnnxDetector
-from sightline.evaluation.comparison import number, percent
-from sightline.evaluation.detection import (
-    DEFAULT_IOU,
-    DetectionReport,
-    JudgedFrame,
-    pooled,
-    score_detections,
-)
-from sightline.formats.labels import parse_margins
-from sightline.georeferencing.georeferencer import load_model
-from sightline.pipeline.sources import make_detector
-from sightline.scene import Scene
-from sightline.scene.labelled_frames import detect_labelled, scene_labels
+
+if TYPE_CHECKING:
+    from sightline.evaluation.detection import DetectionReport, JudgedFrame
 
 _LOWEST = 0.001
 """Average precision is of boxes of any confidence; below this there is nothing but noise."""
@@ -93,6 +90,19 @@ def evaluate(
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
     keep_apart([json], [scene, labels, model])
+    check_scene_is_there(scene)
+    check_model_is_there(model)
+    from sightline.detection import OnnxDetector
+    from sightline.evaluation.detection import (
+        pooled,
+        score_detections,
+    )
+    from sightline.formats.labels import parse_margins
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.pipeline.sources import make_detector
+    from sightline.scene import Scene
+    from sightline.scene.labelled_frames import detect_labelled, scene_labels
+
     loaded = Scene.load(scene)
     if recordings is not None:
         loaded = loaded.select(parse_names(recordings))
@@ -135,6 +145,8 @@ def evaluate(
 
 def describe(report: DetectionReport, what: str) -> str:
     """A report in a line."""
+    from sightline.evaluation.comparison import number, percent
+
     return (
         f"{what}: {report.drawn} boxes in {report.frames} frames, mAP@0.5 "
         f"{number(report.map_50)}, mAP.5:.95 {number(report.map_50_95)}; at IoU "

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sightline import _optional
 from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.defaults import PUBLISHED
 from sightline.cli.options import JsonOption
 from sightline.cli.parsing import parse_known_names, parse_size_px
 from sightline.errors import InputError
-from sightline.training.architecture import Trainable
-from sightline.training.darknet.cfg import PUBLISHED
+
+if TYPE_CHECKING:
+    from sightline.training.architecture import Trainable
 
 _USUAL_SIZE_PX = (640, 384)
 
@@ -68,7 +70,6 @@ def export(
 ) -> None:
     """Write a detector as an ONNX file, and check that file against the network."""
     _optional.module("torch", "train")
-    # Late: without torch the other commands must work.
     from sightline.training.export import export_onnx
     from sightline.training.trained import load_darknet, load_mean
 

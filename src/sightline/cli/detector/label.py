@@ -4,21 +4,29 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
-from sightline.atomic import atomic_path
-from sightline.cli.common import folder_for_results, keep_apart, progress, say
+from sightline.cli.common import (
+    check_model_is_there,
+    check_scene_is_there,
+    folder_for_results,
+    keep_apart,
+    progress,
+    say,
+)
 from sightline.cli.common import write_result as write_json_result
+from sightline.cli.defaults import DEFAULT_LABEL
 from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
 from sightline.cli.parsing import parse_names
 from sightline.errors import InputError
-from sightline.formats.labels import Labels, write_labels
-from sightline.georeferencing.georeferencer import load_model
-from sightline.labelling import DEFAULT_LABEL, Proposals, contact_sheets, learn_size, propose
-from sightline.scene import Recording, Scene
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from sightline.labelling import Proposals
+    from sightline.scene import Recording
 
 _DOUBTFUL = 0.3
 
@@ -51,6 +59,13 @@ def label(
 ) -> None:
     """Propose boxes of the logged target, for a person to check and a detector to learn from."""
     keep_apart([json], [scene, model])
+    check_scene_is_there(scene)
+    check_model_is_there(model)
+    from sightline.formats.labels import Labels, write_labels
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.labelling import contact_sheets, learn_size, propose
+    from sightline.scene import Scene
+
     loaded = Scene.load(scene)
     if recordings is not None:
         loaded = loaded.select(parse_names(recordings))
@@ -95,6 +110,8 @@ def _drawn(recording: Recording) -> np.ndarray | None:
 
 
 def _reasons(proposals: Proposals) -> dict[str, int]:
+    import numpy as np
+
     names, counts = np.unique(proposals.reason[~proposals.made], return_counts=True)
     return {str(why): int(n) for why, n in zip(names, counts, strict=True)}
 
@@ -109,6 +126,10 @@ def _summary(proposals: Proposals) -> dict[str, object]:
 
 def _write_frames(made: list[Proposals], path: Path) -> None:
     """Every frame that was looked at, and why it has no box."""
+    import numpy as np
+
+    from sightline.atomic import atomic_path
+
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["recording", "frame", "confidence", "range_m", "reason"])

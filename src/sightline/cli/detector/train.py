@@ -8,7 +8,13 @@ from typing import Annotated
 import typer
 
 from sightline import _optional
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import (
+    keep_apart,
+    progress,
+    say,
+    write_result,
+)
+from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
     CropSizeOption,
@@ -32,8 +38,6 @@ from sightline.cli.parsing import (
     parse_size_px,
 )
 from sightline.errors import unknown_name
-from sightline.scene import Scene
-from sightline.training.architecture import ARCHITECTURES
 
 
 def train(
@@ -124,7 +128,7 @@ def train(
     if arch not in ARCHITECTURES:
         raise unknown_name("architecture", arch, ARCHITECTURES)
     _optional.module("torch", "train")
-    # Both are imported late: without torch the other commands must work.
+    from sightline.scene import Scene
     from sightline.training.augmentation import Augmentation
     from sightline.training.data import Labels, parse_margins
     from sightline.training.loop import TrainingSettings
