@@ -69,7 +69,7 @@ def test_pins_name_versions_and_no_place() -> None:
 
 
 def test_base_installation_is_light() -> None:
-    heavy = {"torch", "tensorflow", "jax", "ultralytics", "pyarrow", "geopandas"}
+    heavy = {"torch", "tensorflow", "jax", "ultralytics", "pyarrow", "geopandas", "pycocotools"}
     base: set[str] = set()
     waiting = [Requirement(one) for one in _project()["project"]["dependencies"]]
     while waiting:

@@ -34,6 +34,7 @@ from sightline.evaluation.detection import (
     score_detections,
 )
 from sightline.evaluation.report import write_json
+from sightline.formats import _extras
 from sightline.formats.atomic import atomic_path
 from sightline.formats.labels import Labels
 from sightline.scene import Recording, Scene
@@ -177,6 +178,8 @@ def compare_detectors(
     """
     tell = progress if progress is not None else _silent
     given = dict(options or {})
+    # Before hours of training, whose results could not be measured.
+    _extras.module("pycocotools", "train")
     known = _checked(scene, recipe, test, architectures, given, labels, augmentations)
     jobs = _jobs(recipe, architectures, given, augmentations)
     data = _fingerprint(scene, (*recipe.train, *recipe.validation, *test), recipe, labels)

@@ -38,6 +38,7 @@ from sightline.evaluation.detection import (
     scene_labels,
     score_detections,
 )
+from sightline.formats import _extras
 from sightline.formats.labels import parse_margins
 from sightline.inference.model_file import load_model
 from sightline.pipeline.boxes import make_detector
@@ -98,6 +99,8 @@ def evaluate(
     json: JsonOption = None,
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
+    # Before a detector has looked at all frames.
+    _extras.module("pycocotools", "score")
     keep_apart([json], [scene, labels, model])
     loaded = Scene.load(scene)
     if recordings is not None:
