@@ -37,12 +37,13 @@ WEIGHTS = "weights.safetensors"
 HISTORY = "history.csv"
 CONFIGURATION = "config.json"
 
-_FORMAT = 1
+_FORMAT = 2
+"""Of runs: another number, other batches of the same seed."""
+
 _LIBRARIES = (
     "sightline",
     "torch",
     "torchvision",
-    "albumentations",
     "numpy",
     "opencv-python-headless",
 )
