@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from _recordings import challenge_scene
+from _support.traffic import Traffic
 
 from sightline.association import Association, associate, associate_scene, fit_association
 from sightline.association.observations import observe
@@ -25,7 +26,6 @@ from sightline.association.search import Watch
 from sightline.errors import FitError
 from sightline.pipeline import place_boxes, score
 from sightline.scene import Scene
-from sightline.simulation.traffic import Traffic
 
 
 def try_to(watch: Watch, traffic: Traffic) -> Association | None:

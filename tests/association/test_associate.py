@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyais
 import pytest
+from _support.traffic import Traffic
 
 from sightline.association import associate, associate_scene, fit_association
 from sightline.association.observations import observe
@@ -14,7 +15,6 @@ from sightline.errors import FitError, InputError
 from sightline.formats import read_ais_feed, write_boxes
 from sightline.pipeline import place_boxes, score
 from sightline.scene import Scene
-from sightline.simulation.traffic import Traffic
 from sightline.types import Boxes, to_datetime64
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _support.traffic import Traffic
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2, multivariate_normal
 
@@ -17,7 +18,6 @@ from sightline.inference.log_error import (
     blocks_of,
     thinned,
 )
-from sightline.simulation.traffic import Traffic
 from sightline.types import FloatArray
 
 DRIFT_M, DRIFT_S = 1.5, 20.0
