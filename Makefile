@@ -13,7 +13,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast test-train check format bench docs constraints clean
+.PHONY: help demo test test-fast test-train check licences format bench docs constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -39,6 +39,9 @@ check: $(DEV)  ## what does not need running: style, format, types, direction of
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+licences: $(DEV)  ## list what the base installation brings, and refuse copyleft
+	$(BIN)/python tools/licences.py
 
 format: $(DEV)  ## put the code into the form that check wants
 	$(BIN)/ruff check --fix

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from _recordings import challenge_scene
+from _support.traffic import Traffic
 
 from sightline.association import Association, associate
 from sightline.association.observations import observe
@@ -26,7 +27,6 @@ from sightline.errors import FitError
 from sightline.pipeline.evaluate import place_boxes, score
 from sightline.pipeline.fit_unlabelled import associate_scene, fit_association
 from sightline.scene import Scene
-from sightline.simulation.traffic import Traffic
 
 
 def try_to(watch: Watch, traffic: Traffic) -> Association | None:

@@ -15,11 +15,11 @@ import json
 from pathlib import Path
 
 import numpy as np
+from _support.lower_edge import lower_edge, overhang
 
 from sightline.atomic import atomic_path
 from sightline.detection import DEFAULT_DETECTOR, LowerEdge, detector_by_name
 from sightline.detection.metadata import KEY
-from sightline.simulation.lower_edge import lower_edge, overhang
 
 FOLD2 = Path(__file__).parent / "detectors" / "fold2.onnx"
 HEIGHTS_PX = (4, 6, 10, 15, 25, 40, 80)

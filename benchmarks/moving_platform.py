@@ -30,10 +30,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from _support.tracking import score_tracking
 
 from sightline.evaluation.forecast import ForecastPairs, pair_forecasts
 from sightline.evaluation.metrics import ScoredPairs, absolute_error, coverage, pair_track
-from sightline.evaluation.tracking import score_tracking
 from sightline.formats import read_boxes
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL

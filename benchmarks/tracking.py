@@ -19,9 +19,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from _support.tracking import score_tracking
 from harbour_crowd import RATE_HZ, Crowd, crowd, learned
 
-from sightline.evaluation.tracking import score_tracking
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.overlap import iou

@@ -11,6 +11,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
+import grimp
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -69,7 +70,7 @@ def test_pins_name_versions_and_no_place() -> None:
 
 
 def test_base_installation_is_light() -> None:
-    heavy = {"torch", "tensorflow", "jax", "ultralytics", "pyarrow", "geopandas"}
+    heavy = {"torch", "tensorflow", "jax", "ultralytics", "pyarrow", "geopandas", "pycocotools"}
     base: set[str] = set()
     waiting = [Requirement(one) for one in _project()["project"]["dependencies"]]
     while waiting:
@@ -148,6 +149,21 @@ def test_packages_stand_on_at_most_twelve_floors() -> None:
     assert max(visit(name, ()) for name in list(below)) <= 12
 
 
+def test_nothing_is_shipped_that_the_package_does_not_use() -> None:
+    """What tests and benchmarks alone want is in `benchmarks/_support`."""
+    graph = grimp.build_graph("sightline")
+    unused = {
+        module
+        for module in graph.modules - {"sightline", "sightline.__main__"}
+        if not graph.find_children(module) and not graph.find_modules_that_directly_import(module)
+    }
+    source = "".join(path.read_text("utf-8") for path in (ROOT / "src").rglob("*.py"))
+    # Architectures are imported by their name, and the detector that ships is a folder of files.
+    assert {module for module in unused if f'"{module}"' not in source} <= {
+        "sightline.detection.harbour"
+    }
+
+
 def test_the_package_is_quick_to_import() -> None:
     """What takes seconds to load waits until it is used."""
     heavy = ("sklearn", "torch", "onnxruntime", "matplotlib", "cv2", "av", "pandas", "scipy")
@@ -172,7 +188,8 @@ def test_benchmarks_ask_for_what_is_there(path: Path) -> None:
     asked = [
         (node.module, name.name)
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "sightline"
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").split(".")[0] in ("sightline", "_support")
         for name in node.names
     ]
     for module, name in asked:

@@ -31,8 +31,8 @@ def main() -> None:
         project = tomllib.load(file)
     groups = project["dependency-groups"]
     extras = ",".join(project["project"]["optional-dependencies"])
-    # Hatchling builds an editable install with the help of editables; what has no wheel
-    # (simplekml) is built by setuptools.
+    # Hatchling builds an editable install with the help of editables; what has no wheel is built
+    # by setuptools.
     builders = ["pip", "editables", "setuptools", *project["build-system"]["requires"]]
     wanted = [*builders, f".[{extras}]"]
     for group in groups:

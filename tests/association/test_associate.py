@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyais
 import pytest
+from _support.traffic import Traffic
 
 from sightline.association import associate
 from sightline.association.observations import observe
@@ -15,7 +16,6 @@ from sightline.formats import read_ais_feed, write_boxes
 from sightline.pipeline.evaluate import place_boxes, score
 from sightline.pipeline.fit_unlabelled import associate_scene, fit_association
 from sightline.scene import Scene
-from sightline.simulation.traffic import Traffic
 from sightline.types import Boxes, to_datetime64
 
 

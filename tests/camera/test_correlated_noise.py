@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from _support.traffic import Traffic
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2, multivariate_normal
 
@@ -19,7 +20,6 @@ from sightline.camera.correlated_noise import (
 from sightline.camera.parameters import LOG_FOCAL, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.observations import CameraObservations
-from sightline.simulation.traffic import Traffic
 from sightline.types import FloatArray
 
 DRIFT_M, DRIFT_S = 1.5, 20.0

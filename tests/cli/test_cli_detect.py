@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,17 @@ def test_a_detector_is_measured_against_drawn_boxes(
     assert told["mean_iou"] == pytest.approx(30 / 70, abs=1e-4)
     assert told["map_50"] == 0.0
     assert set(told["recordings"]) == {"boat"}
+
+
+def test_without_its_extra_nothing_is_measured(
+    sightline: Command, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pycocotools", None)
+    # The detector is not looked for either: a day of frames may come before the measure.
+    got = sightline("detector", "evaluate", scene, "--detector", tmp_path / "none.onnx")
+    assert got.status == 2
+    (line,) = got.err.strip().splitlines()
+    assert line.endswith('pycocotools is not installed; run: pip install "sightline[score]"')
 
 
 def test_labels_beside_the_scene(sightline: Command, scene: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -240,3 +241,13 @@ def test_a_scene_without_boxes_or_pictures_cannot_measure(tmp_path: Path, data_d
         scene_labels(scene, tmp_path / "none")
     with pytest.raises(InputError, match="no recording has both pictures and labels in"):
         scene_labels(scene, tmp_path)
+
+
+def test_without_the_extra_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pycocotools", None)
+    with pytest.raises(InputError) as caught:
+        score_detections([frame([A], [(A, 0.9)])])
+    expected = 'pycocotools is not installed; run: pip install "sightline[score]"'
+    assert str(caught.value) == expected
+    # What needs no average precision needs no extra.
+    assert math.isnan(score_detections([frame([], [(A, 0.9)])]).map_50)

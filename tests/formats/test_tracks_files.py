@@ -168,18 +168,63 @@ def test_a_real_log_is_a_track(data_dir: Path) -> None:
     assert track.latitude_deg[0] == pytest.approx(log.latitude_deg[alone], abs=1e-9)
 
 
+KML, GX = "{http://www.opengis.net/kml/2.2}", "{http://www.google.com/kml/ext/2.2}"
+
+
 def test_kml_has_a_time_for_every_place(tmp_path: Path) -> None:
-    track = make_track()
+    # Places of 1e-7 degrees would be written with an exponent, which not every reader takes.
+    written = [
+        make_track(label="ferry"),
+        make_track(1, 1, 9, ""),
+        make_track(2, 30, 4, plane=LocalPlane(0.0, 0.0)),
+        make_track(3, 4, 5, plane=LocalPlane(-45.0, 179.0)),
+    ]
     path = tmp_path / "tracks.kml"
-    write_tracks([track], path)
+    write_tracks(written, path)
     root = ET.parse(path).getroot()
-    kml, gx = "{http://www.opengis.net/kml/2.2}", "{http://www.google.com/kml/ext/2.2}"
-    (element,) = root.iter(f"{gx}Track")
-    times = [datetime.fromisoformat(e.text or "").timestamp() for e in element.iter(f"{kml}when")]
-    places = [[float(v) for v in (e.text or "").split()] for e in element.iter(f"{gx}coord")]
-    np.testing.assert_allclose(times, track.time_utc_s, rtol=0, atol=5e-4)
-    np.testing.assert_allclose(np.array(places)[:, 0], track.longitude_deg, rtol=0, atol=6e-10)
-    np.testing.assert_allclose(np.array(places)[:, 1], track.latitude_deg, rtol=0, atol=6e-10)
+    assert root.tag == f"{KML}kml"
+    (document,) = root
+    assert document.tag == f"{KML}Document"
+    title, *placemarks = document
+    assert (title.tag, title.text) == (f"{KML}name", "sightline")
+    assert [mark.tag for mark in placemarks] == [f"{KML}Placemark"] * 4
+    names = ["ferry 7", "track 9", "boat 4", "boat 5"]
+    for track, mark, name in zip(written, placemarks, names, strict=True):
+        assert [part.tag for part in mark] == [f"{KML}name", f"{GX}Track"]
+        assert mark[0].text == name
+        # The order of https://developers.google.com/kml/schema/kml22gx.xsd.
+        mode, *rest = mark[1]
+        assert (mode.tag, mode.text) == (f"{KML}altitudeMode", "clampToGround")
+        times, places = rest[: len(track)], rest[len(track) :]
+        assert {part.tag for part in times} == {f"{KML}when"}
+        assert {part.tag for part in places} == {f"{GX}coord"}
+        seconds = [datetime.fromisoformat(part.text or "").timestamp() for part in times]
+        np.testing.assert_allclose(seconds, track.time_utc_s, rtol=0, atol=5e-4)
+        assert not any("e" in (part.text or "") for part in places)
+        read = np.array([(part.text or "").split() for part in places], dtype=float)
+        expected = [track.longitude_deg, track.latitude_deg, np.zeros(len(track))]
+        np.testing.assert_allclose(read, np.transpose(expected), rtol=0, atol=6e-10)
+
+
+@pytest.mark.parametrize(
+    ("label", "read"),
+    [
+        ("a <![CDATA[ b", "a <![CDATA[ b"),
+        ("<![CDATA[<i>x</i>]]>", "<![CDATA[<i>x</i>]]>"),
+        ("]]>", "]]>"),
+        ("fish & chips &amp; &#60;", "fish & chips &amp; &#60;"),
+        ("</name><name>", "</name><name>"),
+        ("<?xml?><!-- ", "<?xml?><!-- "),
+        ("\x00\x1b[31mred", "\ufffd\ufffd[31mred"),
+        ("\ud800\uffff", "\ufffd\ufffd"),
+        (" a\r\nb\tc ", " a\r\nb\tc "),
+    ],
+)
+def test_any_label_is_text_in_kml(tmp_path: Path, label: str, read: str) -> None:
+    path = tmp_path / "tracks.kml"
+    write_tracks([make_track(label=label)], path)
+    names = [element.text for element in ET.parse(path).getroot().iter(f"{KML}name")]
+    assert names == ["sightline", f"{read} 7"]
 
 
 @pytest.mark.parametrize("suffix", [".gpx", ".kml"])
@@ -219,9 +264,10 @@ def test_tracks_of_others_need_only_time_and_place(tmp_path: Path) -> None:
     assert second.speed_mps.tolist() == [0.0]
 
 
-def test_a_failure_half_way_leaves_nothing(tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".kml", ".csv"])
+def test_a_failure_half_way_leaves_nothing(tmp_path: Path, suffix: str) -> None:
     def fail_after_one() -> None:
-        with track_writer(tmp_path / "tracks.geojson") as writer:
+        with track_writer(tmp_path / f"tracks{suffix}") as writer:
             writer.add(make_track())
             raise ZeroDivisionError
 

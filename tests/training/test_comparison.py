@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -184,6 +185,16 @@ def test_bad_input_of_a_comparison_is_a_line(
     assert line.startswith("error: ")
     assert said in line
     assert set(tmp_path.rglob("*")) == before
+
+
+def test_what_measures_is_asked_for_before_anything_is_trained(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pycocotools", None)
+    trained = _fails("yolov3", monkeypatch, None)
+    with pytest.raises(InputError, match=r'pycocotools is not .* "sightline\[train\]"'):
+        compare_detectors(scene, _recipe(), ("b",), tmp_path / "out", architectures=("yolov3",))
+    assert trained == []
 
 
 def test_cuda_where_there_is_none_is_said_in_a_line(

@@ -173,6 +173,23 @@ def test_what_was_not_labelled_with_care_is_neither_right_nor_wrong() -> None:
     assert float(passed["box"]) == 0.0
 
 
+def test_losses_are_of_the_anchors_that_have_an_object_or_of_pictures_if_those_are_more() -> None:
+    """With every logit of a class at 0, each of two classes costs log 2 an anchor."""
+    three = _target(BOX, (0.0, 0.0, 8.0, 8.0), (20.0, 50.0, 60.0, 64.0))
+    one, none = _target(BOX), _target()
+    each = 2.0 * math.log(2.0)
+    for targets, wanted in [
+        ([three], each),
+        ([one], each),
+        ([one, none], each / 2.0),
+        ([three, none], each),
+        ([one, none, none, none], each / 4.0),
+    ]:
+        output = _silent().repeat(len(targets), 1, 1, 1)
+        losses = YoloLoss()([output], [_head()], targets)
+        assert float(losses["classification"]) == pytest.approx(wanted, rel=1e-5)
+
+
 def test_label_smoothing_takes_from_yes_and_no_alike() -> None:
     said = _saying(_silent(), 1, 1, 2, 0.0, 0.0, 0.0, 0.0, CERTAIN, 2.0, -1.0)
     losses = YoloLoss(label_smoothing=0.1)([said], [_head()], [_target(BOX, labels=(0,))])

@@ -3,6 +3,8 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import io
+import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,6 +29,7 @@ from sightline.training.loop import (
     WEIGHTS,
     TrainingResult,
     TrainingSettings,
+    Validation,
     find_device,
     load_weights,
     train,
@@ -295,6 +298,139 @@ def test_average_precision_is_that_of_coco() -> None:
     seen = validate(_Fixed(found), pictures, torch.device("cpu"))  # type: ignore[arg-type]
     assert seen.ap50["boat"] == pytest.approx(precision[0], abs=1e-6)
     assert seen.ap50["sailboat"] == pytest.approx(precision[1], abs=1e-6)
+
+
+def _in_view(
+    boxes: list[list[float]], found: list[list[float]], ignore: list[bool] | None = None
+) -> Validation:
+    """Average precision of boxes that are found in this order of confidence, all boats."""
+    known = Picture(
+        *("a", 0, np.zeros((64, 64, 3), np.uint8), np.array(boxes, np.float32)),
+        np.zeros(len(boxes), np.int64),
+        np.array(ignore if ignore is not None else [False] * len(boxes)),
+        np.ones(len(boxes), np.float32),
+    )
+    scores = 0.9 - 0.1 * torch.arange(len(found))
+    seen = Prediction(torch.tensor(found), scores, torch.zeros(len(found), dtype=torch.int64))
+    return validate(_Fixed([seen]), [known], torch.device("cpu"))  # type: ignore[arg-type]
+
+
+NEAR, FAR, OPEN = [4.0, 4.0, 24.0, 20.0], [34.0, 10.0, 50.0, 18.0], [2.0, 40.0, 60.0, 62.0]
+
+
+def test_a_boat_is_found_once() -> None:
+    # One of two: the precision is 1 up to a recall of a half, which are 51 of 101 values.
+    assert _in_view([NEAR, FAR], [NEAR, NEAR]).ap50["boat"] == pytest.approx(51 / 101)
+    # The third box finds the other, at a precision of two thirds.
+    seen = _in_view([NEAR, FAR], [NEAR, NEAR, FAR])
+    assert seen.ap50["boat"] == pytest.approx((51 + 50 * 2 / 3) / 101)
+
+
+def test_what_is_found_in_an_open_region_is_neither_right_nor_wrong() -> None:
+    inside, beside = [10.0, 44.0, 30.0, 56.0], [10.0, 24.0, 30.0, 36.0]
+    seen = _in_view([NEAR, OPEN], [inside, NEAR], [False, True])
+    assert seen.ap50["boat"] == pytest.approx(1.0)
+    # Elsewhere it is wrong, and halves the precision.
+    seen = _in_view([NEAR, OPEN], [beside, NEAR], [False, True])
+    assert seen.ap50["boat"] == pytest.approx(0.5)
+
+
+class _Slope:
+    """A weight that each batch pulls down by the learning rate, as Adam does with one gradient."""
+
+    name = "slope"
+    class_names = CLASSES
+    stride = 32
+
+    def __init__(self, *, bad: tuple[int, ...] = ()) -> None:
+        self.module = torch.nn.BatchNorm2d(3)
+        self.weights: list[float] = []
+        self._bad = bad
+
+    def losses(self, images: torch.Tensor, *_: object) -> dict[str, torch.Tensor]:
+        weight = self.module.bias
+        self.weights.append(float(weight[0].detach()))
+        if len(self.weights) - 1 in self._bad:
+            return {"sum": (self.module(images * float("nan")) + weight[:, None, None]).sum()}
+        return {"sum": 0.0 * self.module(images).sum() + weight.sum()}
+
+    def predict(self, *_args: object) -> list[Prediction]:
+        raise NotImplementedError
+
+    def export_module(self) -> object:
+        raise NotImplementedError
+
+
+def _descend(folder: Path, slope: _Slope, **settings: object) -> TrainingResult:
+    chosen = TrainingSettings(device="cpu", threads=1, **settings)  # type: ignore[arg-type]
+
+    def batches(_number: int) -> tuple[torch.Tensor, list[Target]]:
+        return torch.rand(2, 3, 32, 32), []
+
+    return train(slope, batches, [], chosen, folder, {})  # type: ignore[arg-type]
+
+
+def test_the_learning_rate_rises_and_falls_as_half_a_cosine(tmp_path: Path) -> None:
+    slope = _Slope()
+    _descend(tmp_path, slope, steps=60, rate=0.01, warmup=10, last_rate=0.1, validate_every=60)
+    rates = -np.diff(slope.weights)
+    np.testing.assert_allclose(rates[:10], 0.01 * np.arange(1, 11) / 10, rtol=1e-3)
+    along = np.arange(49) / 50
+    wanted = 0.01 * (0.1 + 0.9 * (1.0 + np.cos(np.pi * along)) / 2.0)
+    np.testing.assert_allclose(rates[10:], wanted, rtol=1e-3)
+    assert rates[10] == pytest.approx(0.01, rel=1e-3)
+    assert rates[-1] < 0.0011
+
+
+def test_a_batch_that_is_no_number_teaches_nothing_and_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    slope = _Slope(bad=(3, 4, 7))
+    with caplog.at_level(logging.WARNING, "sightline"):
+        made = _descend(tmp_path, slope, steps=12, rate=0.01, warmup=0, validate_every=6)
+    steps = np.diff(slope.weights)
+    assert np.isfinite(slope.weights).all()
+    assert (steps == 0.0).tolist() == [number in (3, 4, 7) for number in range(11)]
+    for name, value in slope.module.state_dict().items():
+        assert torch.isfinite(value).all(), name
+    # The losses that are told are those of the batches that taught.
+    first = [3.0 * slope.weights[number] for number in (0, 1, 2, 5)]
+    assert made.history[0]["loss_sum"] == pytest.approx(np.mean(first), abs=1e-6)
+    said = [record.getMessage() for record in caplog.records]
+    assert [line.split(",")[0] for line in said] == [
+        "step 6: of the last 6 batches 2 had a gradient that is not finite",
+        "step 12: of the last 6 batches 1 had a gradient that is not finite",
+    ]
+
+
+def test_a_training_whose_batches_are_all_bad_is_told_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    slope = _Slope(bad=(0, 1))
+    with caplog.at_level(logging.WARNING, "sightline"):
+        made = _descend(tmp_path, slope, steps=2, validate_every=2)
+    assert "of the last 2 batches 2 had" in caplog.text
+    assert "loss_sum" not in made.history[0]
+
+
+@pytest.mark.parametrize("patience", [1, 3])
+def test_patience_is_so_many_validations_without_a_better_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: int
+) -> None:
+    scores = iter([0.3, 0.5, *np.linspace(0.4, 0.1, 20)])
+
+    def judge(*_: object) -> Validation:
+        return Validation({"boat": math.nan}, math.nan, float(next(scores)))
+
+    monkeypatch.setattr(loop, "validate", judge)
+    settings = TrainingSettings(
+        steps=60, warmup=1, validate_every=2, patience=patience, device="cpu", threads=1
+    )
+    trainable = build("harbour", CLASSES, width=0.5)
+    made = train(trainable, _batches((64, 64)), _pictures()[:1], settings, tmp_path, {})
+    assert made.best_step == 4
+    assert made.steps == 4 + 2 * patience
+    assert made.stopped_early
 
 
 def test_training_stops_when_it_gets_no_better(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 Average precision is COCO's own, by its reference implementation. Recall, precision and false
 boxes at one overlap are counted here: boxes are given to drawn ones in the order of confidence,
-each to the one that it overlaps most.
+each to the one that it overlaps most. COCO's implementation comes with the extra
+``sightline[score]``.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from sightline import _optional
 from sightline.errors import InputError
 from sightline.overlap import giou, iou
 from sightline.types import BoolArray, FloatArray
@@ -149,7 +151,7 @@ def score_detections(
         allowed_per_frame: How many false boxes a frame are allowed in ``recall_at_allowed``.
 
     Raises:
-        InputError: There is no frame, or an overlap that is none.
+        InputError: There is no frame, an overlap is none, or the extra ``score`` is missing.
     """
     if not frames:
         raise InputError("no frame has both a picture and labels, so nothing can be measured")
@@ -208,6 +210,7 @@ def _at_allowed(
 
 def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
     """Average precision at 0.5, and the mean from 0.5 to 0.95, by COCO's implementation."""
+    _optional.module("pycocotools", "score")
     # Heavy, and needed by nothing else.
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval

@@ -238,8 +238,7 @@ def box_writer(path: str | os.PathLike[str]) -> Iterator[BoxWriter]:
 def track_writer(path: str | os.PathLike[str]) -> Iterator[TrackWriter]:
     """Write tracks as they are finished; the file appears when the block ends well.
 
-    CSV, GeoJSON, GPX, Parquet and GeoPackage are written track by track, at a memory that does
-    not grow with their number; KML is kept until the end.
+    Tracks are written one by one, at a memory that does not grow with their number.
 
     Args:
         path: Ends in .geojson, .gpx, .kml, .csv, .parquet or .gpkg; the last two need the extras

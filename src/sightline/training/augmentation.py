@@ -6,7 +6,6 @@ been.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -15,9 +14,11 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torchvision.transforms.v2 import functional
 
-from sightline import _optional
 from sightline.errors import InputError
+from sightline.training import photometric
 from sightline.training.architecture import Target
 from sightline.training.data import Image, Picture, Sprite
 from sightline.training.wash import Hull, draw_wash, hull_of, inner
@@ -135,8 +136,6 @@ class Batches:
             synthetic_share: Of the crops, where there are rendered pictures.
             smallest_px: Boxes that a scale makes narrower or lower are ignored.
         """
-        # The library would ask its registry for a newer version of itself.
-        os.environ.setdefault("NO_ALBUMENTATIONS_UPDATE", "1")
         self._real = [picture for picture in pictures if picture.real]
         self._rendered = [picture for picture in pictures if not picture.real]
         self._backgrounds = list(backgrounds)
@@ -151,15 +150,14 @@ class Batches:
         share = synthetic_share if self._real else 1.0
         self._synthetic_share = share if self._rendered else 0.0
         self._smallest = smallest_px
-        self._varied = _composition(_optional.module("albumentations", "train"), augmentation)
 
-    def __call__(self, number: int) -> tuple[torch.Tensor, list[Target]]:
+    def __call__(self, number: int) -> tuple[Tensor, list[Target]]:
         """A batch: (B, 3, H, W) float32, 0 to 1, and what is in each picture."""
         images, targets = [], []
         for k in range(self._batch):
             rng = np.random.default_rng([self._seed, number, k])
             image, boxes = self._sample(rng)
-            images.append(torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1))))
+            images.append(image)
             targets.append(
                 Target(
                     torch.from_numpy(boxes.corners.astype(np.float32)),
@@ -170,7 +168,7 @@ class Batches:
             )
         return torch.stack(images).float() / 255.0, targets
 
-    def _sample(self, rng: np.random.Generator) -> tuple[Image, _Boxes]:
+    def _sample(self, rng: np.random.Generator) -> tuple[Tensor, _Boxes]:
         if self._settings.mosaic and rng.random() < 0.5:
             image, boxes = self._mosaic(rng)
         else:
@@ -398,42 +396,87 @@ class Batches:
             corners[1] - sprite.box_xyxy_px[1] * resize,
         )
 
-    def _vary(self, rng: np.random.Generator, image: Image, boxes: _Boxes) -> tuple[Image, _Boxes]:
+    def _vary(self, rng: np.random.Generator, image: Image, boxes: _Boxes) -> tuple[Tensor, _Boxes]:
+        """Flip, rotate and change the pixels: (3, H, W) uint8, and the boxes."""
+        width, height = self._size
         if self._settings.flip and rng.random() < 0.5:
             image = np.ascontiguousarray(image[:, ::-1])
             flipped = boxes.corners[:, [2, 1, 0, 3]] * [-1.0, 1.0, -1.0, 1.0]
-            flipped[:, [0, 2]] += self._size[0]
+            flipped[:, [0, 2]] += width
             boxes = _Boxes(flipped, boxes.labels, boxes.ignore, boxes.worth)
+        varied = torch.from_numpy(image.transpose(2, 0, 1))
         if self._settings.rotation and rng.random() < 0.4:
-            angle = rng.uniform(-1.0, 1.0) * self._settings.rotation_deg
-            image, boxes = self._rotated(image, boxes, float(angle))
-        self._varied.set_random_seed(int(rng.integers(2**31)))
-        return self._varied(image=image)["image"], boxes
+            angle_deg = float(rng.uniform(-1.0, 1.0)) * self._settings.rotation_deg
+            varied = rotate_image(varied, angle_deg)
+            turned = rotate_boxes(boxes.corners, angle_deg, self._size)
+            boxes = _clipped(turned, boxes, (0, 0, width, height), self._smallest)
+        return distort(rng, varied, self._settings), boxes
 
-    def _rotated(self, image: Image, boxes: _Boxes, angle_deg: float) -> tuple[Image, _Boxes]:
-        width, height = self._size
-        albumentations = _optional.module("albumentations", "train")
-        turn = albumentations.Compose(
-            [
-                albumentations.Rotate(
-                    limit=(angle_deg, angle_deg),
-                    border_mode=cv2.BORDER_CONSTANT,
-                    fill=_FILL,
-                    rotate_method="ellipse",
-                    p=1.0,
-                )
-            ],
-            bbox_params=albumentations.BboxParams(
-                format="pascal_voc", label_fields=["rows"], clip=True, min_area=1.0
-            ),
-        )
-        done = turn(
-            image=image, bboxes=boxes.corners, rows=np.arange(len(boxes.labels), dtype=float)
-        )
-        rows = np.asarray(done["rows"], dtype=np.int64)
-        corners = np.asarray(done["bboxes"], dtype=float).reshape(-1, 4)
-        turned = _Boxes(corners, boxes.labels[rows], boxes.ignore[rows], boxes.worth[rows])
-        return done["image"], _clipped(corners, turned, (0, 0, width, height), self._smallest)
+
+def rotate_image(image: Tensor, angle_deg: float) -> Tensor:
+    """Rotate a picture about its middle; what comes into view is grey.
+
+    Args:
+        image: (3, H, W) uint8.
+        angle_deg: Counter-clockwise.
+    """
+    fill = [float(_FILL)] * 3
+    return functional.rotate(image, angle_deg, functional.InterpolationMode.BILINEAR, fill=fill)
+
+
+def rotate_boxes(
+    xyxy_px: FloatArray, angle_deg: float, image_size_px: tuple[int, int]
+) -> FloatArray:
+    """Boxes around the ellipses that boxes hold, when their picture is rotated about its middle.
+
+    A box around its own turned corners would grow with every angle; boats do not fill theirs.
+
+    Args:
+        xyxy_px: (N, 4).
+        angle_deg: Counter-clockwise.
+        image_size_px: Width and height.
+
+    Returns:
+        (N, 4), some of them partly or wholly outside the picture.
+    """
+    angle = np.deg2rad(angle_deg)
+    # Rows count downwards.
+    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    middle = 0.5 * np.array(image_size_px, dtype=float)
+    centres = middle + (0.5 * (xyxy_px[:, :2] + xyxy_px[:, 2:]) - middle) @ rotation.T
+    radii = 0.5 * (xyxy_px[:, 2:] - xyxy_px[:, :2])
+    reach = np.sqrt(radii**2 @ rotation.T**2)
+    return np.concatenate([centres - reach, centres + reach], axis=1)
+
+
+def distort(rng: np.random.Generator, image: Tensor, settings: Augmentation) -> Tensor:
+    """Change pixels, and leave boxes where they are; (3, H, W) uint8."""
+    if settings.brightness and rng.random() < 0.5:
+        image = photometric.brighten(image, float(rng.uniform(-0.2, 0.2)))
+    if settings.exposure and rng.random() < 0.6:
+        if rng.random() < 0.5:
+            image = photometric.gamma_correct(image, float(rng.uniform(0.6, 1.6)))
+        else:
+            image = photometric.expose(image, float(rng.uniform(0.65, 1.35)))
+    if settings.color:
+        if rng.random() < 0.4:
+            hue_deg, saturation = rng.uniform(-20.0, 20.0), rng.uniform(-0.14, 0.14)
+            image = photometric.recolor(image, float(hue_deg), float(saturation))
+        if rng.random() < 0.4:
+            red, green, blue = rng.uniform(-1.0, 1.0, 3) * [14.0, 14.0, 18.0]
+            image = photometric.shift_channels(image, (float(red), float(green), float(blue)))
+    if settings.blur and rng.random() < 0.2:
+        if rng.random() < 0.5:
+            size_px = 3 if rng.random() < 1.0 / 3.0 else 5
+            image = photometric.blur(image, float(rng.uniform(0.5, 3.0)), size_px)
+        else:
+            length_px = rng.integers(1, 3) * rng.uniform(1.0, 2.0)
+            image = photometric.motion_blur(image, float(length_px), float(rng.uniform(0.0, 180.0)))
+    if settings.noise and rng.random() < 0.25:
+        image = photometric.add_noise(image, float(rng.uniform(0.01, 0.04)), rng)
+    if settings.compression and rng.random() < 0.3:
+        image = photometric.compress(image, int(rng.integers(45, 96)))
+    return image
 
 
 def _one_of(rng: np.random.Generator, sprites: Sequence[Sprite]) -> Sprite:
@@ -471,41 +514,6 @@ def _narrowed(sprite: Sprite, aspect: float) -> Sprite:
         opacity=np.asarray(cv2.resize(sprite.opacity, size, interpolation=cv2.INTER_AREA)),
         box_xyxy_px=np.array([x1, sprite.box_xyxy_px[1], x2, sprite.box_xyxy_px[3]]),
     )
-
-
-def _composition(albumentations: Any, settings: Augmentation) -> Any:
-    """What changes pixels and leaves boxes where they are."""
-    a = albumentations
-    steps = []
-    if settings.brightness:
-        steps.append(a.RandomBrightnessContrast(brightness_limit=0.2, contrast_limit=(0, 0), p=0.5))
-    if settings.exposure:
-        steps.append(
-            a.OneOf(
-                [
-                    a.RandomGamma(gamma_limit=(60, 160), p=1.0),
-                    a.RandomBrightnessContrast(brightness_limit=(0, 0), contrast_limit=0.35, p=1.0),
-                ],
-                p=0.6,
-            )
-        )
-    if settings.color:
-        steps += [
-            a.HueSaturationValue(hue_shift_limit=10, sat_shift_limit=35, val_shift_limit=0, p=0.4),
-            a.RGBShift(r_shift_limit=14, g_shift_limit=14, b_shift_limit=18, p=0.4),
-        ]
-    if settings.blur:
-        steps.append(
-            a.OneOf(
-                [a.GaussianBlur(blur_limit=(3, 5), p=1.0), a.MotionBlur(blur_limit=(3, 5), p=1.0)],
-                p=0.2,
-            )
-        )
-    if settings.noise:
-        steps.append(a.GaussNoise(std_range=(0.01, 0.04), per_channel=True, p=0.25))
-    if settings.compression:
-        steps.append(a.ImageCompression(quality_range=(45, 95), p=0.3))
-    return a.Compose(steps)
 
 
 def _cropped(image: Image, x: float, y: float, scale: float, size_px: tuple[int, int]) -> Image:

@@ -22,6 +22,7 @@ from typing import Any
 import torch
 from matplotlib.figure import Figure
 
+from sightline import _optional
 from sightline.atomic import atomic_path
 from sightline.detection import _onnxruntime
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
@@ -172,6 +173,8 @@ def compare_detectors(
     """
     tell = progress if progress is not None else _silent
     given = dict(options or {})
+    # Before hours of training, whose results could not be measured.
+    _optional.module("pycocotools", "train")
     known = _checked(scene, recipe, test, architectures, given, labels, augmentations)
     jobs = _jobs(recipe, architectures, given, augmentations)
     data = _fingerprint(scene, (*recipe.train, *recipe.validation, *test), recipe, labels)

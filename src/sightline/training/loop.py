@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import logging
 import math
 import platform
 import time
@@ -32,17 +33,20 @@ from sightline.overlap import giou, iou
 from sightline.training.architecture import Target, Trainable
 from sightline.training.data import Picture
 
+_logger = logging.getLogger(__name__)
+
 CHECKPOINT = "checkpoint.safetensors"
 WEIGHTS = "weights.safetensors"
 HISTORY = "history.csv"
 CONFIGURATION = "config.json"
 
-_FORMAT = 1
+_FORMAT = 2
+"""Of runs: another number, other batches of the same seed."""
+
 _LIBRARIES = (
     "sightline",
     "torch",
     "torchvision",
-    "albumentations",
     "numpy",
     "opencv-python-headless",
 )
@@ -133,6 +137,34 @@ class _State:
     history: list[dict[str, float]] = field(default_factory=list)
 
 
+@dataclass
+class _Lessons:
+    """Batches since the last validation.
+
+    Attributes:
+        sums: Of each loss, over the batches that taught something.
+        taught: How many did.
+        skipped: How many did not, since their gradient is not finite.
+    """
+
+    sums: dict[str, float] = field(default_factory=dict)
+    taught: int = 0
+    skipped: int = 0
+
+    def add(self, losses: Mapping[str, float] | None) -> None:
+        """Count a batch; None: it was skipped."""
+        if losses is None:
+            self.skipped += 1
+            return
+        self.taught += 1
+        for name, loss in losses.items():
+            self.sums[name] = self.sums.get(name, 0.0) + loss
+
+    def means(self) -> dict[str, float]:
+        """The mean of each loss."""
+        return {name: value / self.taught for name, value in self.sums.items()}
+
+
 @dataclass(frozen=True)
 class TrainingResult:
     """What a training came to.
@@ -205,20 +237,20 @@ def train(
         state = _load_checkpoint(path, module, optimizer, mean, identity)
     begun = time.monotonic() - state.elapsed_s
     stopped = _patience_spent(state, settings)
-    sums: dict[str, float] = {}
-    since = state.step
+    lessons = _Lessons()
     while _done(state, settings) < 1.0 and not stopped:
         started = time.monotonic()
-        _step(trainable, batches, optimizer, mean, state, settings, device, sums)
+        lessons.add(_step(trainable, batches, optimizer, mean, state, settings, device))
         state.step += 1
         state.learned_s += time.monotonic() - started
         if progress is not None:
-            losses = {name: value / (state.step - since) for name, value in sums.items()}
-            progress(_line(state, settings, losses), min(1.0, _done(state, settings)))
+            line = _line(state, settings, lessons.means())
+            progress(line, min(1.0, _done(state, settings)))
         last = _done(state, settings) >= 1.0
         if state.step % settings.validate_every == 0 or last:
             row = {"step": float(state.step), "elapsed_s": time.monotonic() - begun}
-            row |= {f"loss_{name}": value / (state.step - since) for name, value in sums.items()}
+            row |= {f"loss_{name}": value for name, value in lessons.means().items()}
+            _tell_of_skipped(lessons, state.step)
             if validation:
                 seen = _with_mean(module, mean, lambda: validate(trainable, validation, device))
                 row |= {f"ap50_{name}": value for name, value in seen.ap50.items()}
@@ -229,7 +261,7 @@ def train(
             if score >= state.best_score:
                 state.best_score, state.best_step = score, state.step
                 save_weights(folder / WEIGHTS, trainable, mean)
-            sums, since = {}, state.step
+            lessons = _Lessons()
             _write_history(folder / HISTORY, state.history)
             stopped = _patience_spent(state, settings)
         if state.step % settings.checkpoint_every == 0 or last or stopped:
@@ -275,8 +307,8 @@ def _step(
     state: _State,
     settings: TrainingSettings,
     device: torch.device,
-    sums: dict[str, float],
-) -> None:
+) -> dict[str, float] | None:
+    """Learn from a batch; returns its losses, or None where its gradient is not finite."""
     number = state.step
     images, targets = batches(number)
     torch.manual_seed(settings.seed * 1_000_003 + number)
@@ -292,9 +324,11 @@ def _step(
     optimizer.zero_grad(set_to_none=True)
     total.backward()
     norm = nn.utils.clip_grad_norm_(module.parameters(), _CLIP)
-    # One bad batch must not spoil the weights for good.
-    if torch.isfinite(norm):
-        optimizer.step()
+    if not torch.isfinite(norm):
+        # One bad batch must not spoil the weights for good.
+        _restore_statistics(module, mean)
+        return None
+    optimizer.step()
     decay = min(settings.mean_decay, (1.0 + number) / (10.0 + number))
     with torch.no_grad():
         for name, value in module.state_dict().items():
@@ -302,8 +336,26 @@ def _step(
                 mean[name].lerp_(value, 1.0 - decay)
             else:
                 mean[name].copy_(value)
-    for name, loss in losses.items():
-        sums[name] = sums.get(name, 0.0) + float(loss.detach())
+    return {name: float(loss.detach()) for name, loss in losses.items()}
+
+
+def _restore_statistics(module: nn.Module, mean: Mapping[str, Tensor]) -> None:
+    """Take from the running mean what a batch made infinite in normalisations."""
+    with torch.no_grad():
+        for name, value in module.named_buffers():
+            if name in mean and not bool(torch.isfinite(value).all()):
+                value.copy_(mean[name])
+
+
+def _tell_of_skipped(lessons: _Lessons, step: int) -> None:
+    if lessons.skipped:
+        _logger.warning(
+            "step %d: of the last %d batches %d had a gradient that is not finite, and taught "
+            "nothing; a lower learning rate may mend that",
+            step,
+            lessons.taught + lessons.skipped,
+            lessons.skipped,
+        )
 
 
 def _done(state: _State, settings: TrainingSettings) -> float:

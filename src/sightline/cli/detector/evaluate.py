@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline import _optional
 from sightline.cli.common import (
     check_model_is_there,
     check_scene_is_there,
@@ -89,6 +90,8 @@ def evaluate(
     json: JsonOption = None,
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
+    # Before a detector has looked at all frames.
+    _optional.module("pycocotools", "score")
     keep_apart([json], [scene, labels, model])
     check_scene_is_there(scene)
     check_model_is_there(model)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from _support.lower_edge import Overhang, lower_edge, overhang
 
 from sightline.detection import detector_by_name
 from sightline.errors import FitError
-from sightline.simulation.lower_edge import Overhang, lower_edge, overhang
 
 
 def test_a_planted_habit_is_found_though_wakes_are_taken_for_boats():

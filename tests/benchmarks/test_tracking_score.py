@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from _support.tracking import score_identities, score_tracking
 
 from sightline.errors import InputError
-from sightline.evaluation.tracking import score_identities, score_tracking
 from sightline.types import NO_TRACK, Boxes
 
 # TrackEval 1.3.0 of `_random_scene(seed)`: HOTA, DetA, AssA, IDF1, IDP, IDR.

@@ -1,0 +1,1 @@
+"""What benchmarks and tests share and users do not need; no part of the package."""
