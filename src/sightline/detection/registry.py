@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.resources import as_file, files
 
+from sightline._plugins import loaded, registered
 from sightline.detection.detector import Detector
 from sightline.detection.motion import MotionDetector
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
@@ -14,27 +15,35 @@ DETECTORS = ("motion", "harbour")
 
 DEFAULT_DETECTOR = "harbour"
 
+ENTRY_POINT_GROUP = "sightline.detectors"
 
-def check_detector_name(name: str) -> None:
+
+def check_detector_name(name: str | Detector) -> None:
     """Refuse what names no detector, without loading one.
 
     Raises:
-        InputError: The name is none of `DETECTORS`, and no ONNX file's.
+        InputError: The name is none of `DETECTORS`, no ONNX file's, and no other package's.
     """
-    if name not in DETECTORS and not name.lower().endswith(".onnx"):
-        raise unknown_name("detector", name, (*DETECTORS, "a file that ends in .onnx"))
+    if not isinstance(name, str) or name in DETECTORS or name.lower().endswith(".onnx"):
+        return
+    others = registered(ENTRY_POINT_GROUP)
+    if name not in others:
+        known = (*DETECTORS, *sorted(others), "a file that ends in .onnx")
+        raise unknown_name("detector", name, known)
 
 
 def detector_by_name(
-    name: str,
+    name: str | Detector,
     *,
     horizon_px: tuple[float, float] | None = None,
     options: DetectorOptions | None = None,
 ) -> Detector:
-    """A new detector.
+    """A new detector by its name, or one's own, which forgets what it saw.
 
     Args:
-        name: One of `DETECTORS`, or the path of an ONNX file.
+        name: One of `DETECTORS`, the path of an ONNX file, a name that another package registers
+            under the entry point group ``sightline.detectors`` (it names a callable without
+            arguments), or an object.
         horizon_px: Rows of the horizon at the left and the right edge of the image, where known.
         options: How a detector in an ONNX file is run.
 
@@ -42,18 +51,23 @@ def detector_by_name(
         InputError: The name is none of them, the file cannot be used, or options are given to a
             detector that has none.
     """
+    if not isinstance(name, str):
+        name.reset()
+        return name
     if name.lower().endswith(".onnx"):
         return OnnxDetector(name, options=options, horizon_px=horizon_px)
-    if name == "motion":
-        if options is not None and options != DetectorOptions():
-            raise InputError(
-                "the detector 'motion' finds what moves and runs no network, so it has no "
-                "decoder, classes, threshold, provider or views; leave them out, or give an ONNX "
-                "file"
-            )
-        return MotionDetector(horizon_px=horizon_px)
     check_detector_name(name)
-    return _harbour(horizon_px, options)
+    if name == "harbour":
+        return _harbour(horizon_px, options)
+    if options is not None and options != DetectorOptions():
+        raise InputError(
+            f"the detector {name!r} runs no ONNX file, so it has no decoder, classes, threshold, "
+            "provider or views; leave them out, or give an ONNX file"
+        )
+    if name == "motion":
+        return MotionDetector(horizon_px=horizon_px)
+    made: Detector = loaded(registered(ENTRY_POINT_GROUP)[name])()
+    return made
 
 
 def _harbour(

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sightline._plugins import registered
+from sightline._plugins import loaded, registered
 from sightline.camera.calibration import CameraFit
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
@@ -212,7 +212,7 @@ def model_type(model: str | ModelType) -> ModelType:
     others = registered(ENTRY_POINT_GROUP)
     if model not in others:
         raise unknown_name("model", model, (*MODELS, *sorted(others)))
-    found: ModelType = others[model].load()
+    found: ModelType = loaded(others[model])
     for needed in ("name", "fit", "load"):
         if not hasattr(found, needed):
             raise InputError(

@@ -32,7 +32,7 @@ from sightline.progress import Progress
 from sightline.scene import Scene
 from sightline.scene.correspondences import collect
 from sightline.tracks import Tracks
-from sightline.trajectory import method
+from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.types import Boxes, Fixes, LocatedBoxes, Track
 
@@ -43,7 +43,7 @@ def evaluate(
     fixes: Fixes | str | os.PathLike[str] | None = None,
     model: Georeferencer | None = None,
     smooth: bool = False,
-    trajectory: str = DEFAULT_TRAJECTORY,
+    trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY,
     track_id: int | None = None,
     mmsi: int | None = None,
     delta_s: float = 1.0,
@@ -106,7 +106,7 @@ class Placed:
             log_sigma_m=self.model.log_sigma_m,
         )
 
-    def track(self, trajectory: str) -> Track | None:
+    def track(self, trajectory: str | TrajectoryMethod) -> Track | None:
         """The trajectory of the boxes, at their times."""
         settings = TrackSettings(trajectory=trajectory)
         return smooth_boxes(
@@ -151,7 +151,10 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
 
 
 def score(
-    placed: Sequence[Placed], trajectory: str | None = None, *, delta_s: float = 1.0
+    placed: Sequence[Placed],
+    trajectory: str | TrajectoryMethod | None = None,
+    *,
+    delta_s: float = 1.0,
 ) -> Report:
     """The report of placed boxes, single or as trajectories.
 
@@ -235,7 +238,7 @@ def compare(
     scene: Scene,
     models: Sequence[str] = MODELS,
     *,
-    trajectory: str | None = None,
+    trajectory: str | TrajectoryMethod | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[Comparison, dict[str, list[Placed]]]:

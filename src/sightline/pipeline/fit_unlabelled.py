@@ -15,7 +15,7 @@ from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
-from sightline.detection import DEFAULT_DETECTOR, LowerEdge, check_detector_name
+from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Pairs
@@ -60,7 +60,7 @@ def fit_scene(
     *,
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
-    detector: str | None = DEFAULT_DETECTOR,
+    detector: str | Detector | None = DEFAULT_DETECTOR,
     seen: SceneDetections | None = None,
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
@@ -76,8 +76,8 @@ def fit_scene(
         model: One of `MODELS`, or a model type.
         seed: Of whatever is random in the fit.
         extra: As for `fit`.
-        detector: Name of the detector for recordings that have pictures but no boxes of any kind;
-            None: these are left out.
+        detector: Name of the detector, or an object, for recordings that have pictures but no boxes
+            of any kind; None: these are left out.
         seen: What it found there, for who has looked already.
         largest_offset_s: How far the clocks may be off.
         progress: Told what is being done.
@@ -118,7 +118,7 @@ def fit_scene(
 def associate_scene(
     scene: Scene,
     *,
-    detector: str | None = DEFAULT_DETECTOR,
+    detector: str | Detector | None = DEFAULT_DETECTOR,
     seen: SceneDetections | None = None,
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
@@ -269,7 +269,7 @@ def update_scene(
     old: Georeferencer,
     *,
     seed: int = 0,
-    detector: str | None = DEFAULT_DETECTOR,
+    detector: str | Detector | None = DEFAULT_DETECTOR,
     seen: SceneDetections | None = None,
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.detection import DEFAULT_DETECTOR
+from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import FitError
 from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
@@ -59,7 +59,7 @@ def run(
     scene: Scene,
     *,
     model: str | ModelType = DEFAULT_MODEL,
-    detector: str = DEFAULT_DETECTOR,
+    detector: str | Detector = DEFAULT_DETECTOR,
     settings: TrackSettings | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -69,7 +69,7 @@ def run(
     Args:
         scene: The scene.
         model: Name of the model, or a model type.
-        detector: Name of the detector for recordings without boxes.
+        detector: Name of the detector, or an object, for recordings without boxes.
         settings: How boxes become tracks.
         seed: Of whatever is random in the fit.
         progress: Told how far it is.

@@ -96,7 +96,7 @@ def make_detector(
         InputError: The name is not known, or the options do not fit.
     """
     if detector is not None and not isinstance(detector, str):
-        return detector
+        return detector_by_name(detector)
     horizon = None
     if model is not None and model.camera is not None:
         rows = model.camera.horizon_y_px([0.0, model.image_size_px[0]])

@@ -32,7 +32,7 @@ from sightline.pipeline.sources import (
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.progress import Progress
-from sightline.tracking import ImageTracker, TargetTracker, Tracker, WorldTracker
+from sightline.tracking import ImageTracker, TargetTracker, Tracker, WorldTracker, tracker_by_name
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
@@ -67,7 +67,11 @@ class TrackSettings:
     """How boxes become tracks.
 
     Attributes:
-        trajectory: Name of the trajectory method, ``"rts"`` or ``"paper"``.
+        trajectory: The trajectory method: ``"rts"``, ``"paper"``, another package's name, or an
+            object.
+        tracker: What says which boxes are of one target: another package's name, or an object or a
+            callable that makes one. None: on the earth where the model has a camera, else in the
+            image.
         interval_s: Time between the points of a track; None: a point a box.
         ends_after_s: A target not seen for as long has gone; its track is smoothed and let go.
         shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
@@ -79,7 +83,8 @@ class TrackSettings:
         correct_turns: Whether a turn of the camera that its pictures show is made up for.
     """
 
-    trajectory: str = DEFAULT_TRAJECTORY
+    trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY
+    tracker: str | Tracker | Callable[[], Tracker] | None = None
     interval_s: float | None = None
     ends_after_s: float = 20.0
     shortest_s: float = 2.0
@@ -263,7 +268,7 @@ def follow(
     book = _OpenTracks(settings, highest_id)
     located: Iterator[Boxes] = map(model.place, batches)
     if highest_id == NO_TRACK:
-        located = _followed(located, first_s, _tracker(model, platform))
+        located = _followed(located, first_s, _tracker(model, settings, platform))
         ended = book.ended_by_moment(located)
     else:
         ended = book.ended(located)
@@ -287,7 +292,9 @@ def follow(
         refuse_seldom(first_s, "boxes", model)
 
 
-def _tracker(model: Georeferencer, platform: Platform | None) -> Tracker:
+def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform | None) -> Tracker:
+    if settings.tracker is not None:
+        return tracker_by_name(settings.tracker)
     if not follows_on_earth(model):
         return ImageTracker()
     return WorldTracker(
@@ -319,7 +326,17 @@ def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) 
     for boxes in moments(batches) if several is None else whole_moments(batches):
         if len(first_s) < _LOOKED_AT_BOXES:
             first_s += np.unique(boxes.time_utc_s)[: _LOOKED_AT_BOXES - len(first_s)].tolist()
-        yield tracker.update(boxes) if several is None else several(boxes)
+        yield several(boxes) if several else _still_located(tracker.update(boxes), boxes)
+
+
+def _still_located(kept: Boxes, given: Boxes) -> Boxes:
+    """Boxes that a tracker gave back, with the positions of those that it was given."""
+    if isinstance(kept, LocatedBoxes) or not isinstance(given, LocatedBoxes):
+        return kept
+    same = (kept.xyxy_px[:, None] == given.xyxy_px[None]).all(axis=2)
+    if not same.any(axis=1).all():
+        raise InputError("the tracker gave back a box that it was not given; it only adds ids")
+    return LocatedBoxes.at(kept, given.positions[np.argmax(same, axis=1)])
 
 
 class _OpenTracks:

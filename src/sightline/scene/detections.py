@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sightline.camera.shoreline import StillPicture
 from sightline.camera.static_intervals import StanceWatch
+from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
 from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name
@@ -22,7 +23,7 @@ from sightline.video.reader import frame_count
 _EVERY_OF_VIDEO = 25
 
 
-def lower_edges_of(detector: str) -> dict[str, LowerEdge | None]:
+def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
     """Where a detector's boxes end, by the name of their source.
 
     Args:
@@ -45,7 +46,7 @@ class SceneDetections:
     def __init__(
         self,
         scene: Scene,
-        detector: str | None = DEFAULT_DETECTOR,
+        detector: str | Detector | None = DEFAULT_DETECTOR,
         progress: Progress | None = None,
         *,
         stills: bool = False,

@@ -1,6 +1,7 @@
 """Stage 2: boxes in, boxes with a track id out."""
 
 from sightline.tracking.image import ImageTracker, ImageTrackerSettings
+from sightline.tracking.registry import tracker_by_name
 from sightline.tracking.targets import TargetTracker, TrackerSettings
 from sightline.tracking.tracker import Tracker
 from sightline.tracking.world import WorldTracker, WorldTrackerSettings
@@ -13,4 +14,5 @@ __all__ = [
     "TrackerSettings",
     "WorldTracker",
     "WorldTrackerSettings",
+    "tracker_by_name",
 ]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from sightline.types import Boxes
 
 
+@runtime_checkable
 class Tracker(Protocol):
     """What says which boxes are of the same target."""
 
@@ -15,7 +16,7 @@ class Tracker(Protocol):
 
         Args:
             boxes: All of one time, later than the boxes before. No boxes tell no time and change
-                nothing.
+                nothing. In the pipeline they are `LocatedBoxes`, with their positions.
 
         Returns:
             Those boxes that belong to a confirmed track, with its id, in the order given.
