@@ -36,8 +36,11 @@ _VELOCITY_COVARIANCE = (
 _ELLIPSE = ("semi_major_m", "semi_minor_m", "ellipse_bearing_deg")
 _PROBABILITY = 0.95
 
-LABEL_AT = 7
-"""Before so many columns of its table a track's label stands."""
+COLUMNS = (
+    *("track_id", "time_utc", *_MEASURES, "kind", "label"),
+    *(*_COVARIANCE, *_VELOCITY_COVARIANCE, *_ELLIPSE),
+)
+"""The columns of a table of tracks, in their order."""
 
 
 def columns(track: Track) -> dict[str, NDArray[Any]]:
@@ -64,13 +67,15 @@ def columns(track: Track) -> dict[str, NDArray[Any]]:
 
 
 def table(track: Track) -> pd.DataFrame:
-    """A track as a table, a row a point: its number, its times in milliseconds, and `columns`."""
-    rows = pd.DataFrame(columns(track))
-    rows.insert(0, "track_id", np.full(len(track), track.track_id, dtype=np.int64))
+    """A track as a table, a row a point: `COLUMNS`, its times in milliseconds."""
     times = pd.DatetimeIndex(_files.milliseconds(track.time_utc_s), tz="UTC")
-    rows.insert(1, "time_utc", times)
-    rows.insert(LABEL_AT, "label", pd.array([track.label] * len(track), dtype="str"))
-    return rows
+    content: dict[str, object] = {
+        "track_id": np.full(len(track), track.track_id, dtype=np.int64),
+        "time_utc": times,
+        "label": pd.array([track.label] * len(track), dtype="str"),
+        **columns(track),
+    }
+    return pd.DataFrame({name: content[name] for name in COLUMNS})
 
 
 def empty() -> pd.DataFrame:

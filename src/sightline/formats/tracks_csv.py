@@ -32,15 +32,15 @@ class CsvTrackWriter:
     def add(self, track: Track) -> None:
         """Write one track."""
         # A table of pandas takes longer than the columns that are in it.
-        own = _track_table.columns(track)
-        texts = [
-            ["" if value != value else value for value in column.tolist()]
-            for column in own.values()
-        ]
-        n = len(track)
-        texts.insert(_track_table.LABEL_AT - 2, [track.label] * n)
-        numbers, times = [track.track_id] * n, _files.rfc3339(track.time_utc_s).tolist()
-        self._writer.writerows(zip(numbers, times, *texts, strict=True))
+        content = {
+            "track_id": [track.track_id] * len(track),
+            "time_utc": _files.rfc3339(track.time_utc_s).tolist(),
+            "label": [track.label] * len(track),
+        }
+        for name, column in _track_table.columns(track).items():
+            content[name] = ["" if value != value else value for value in column.tolist()]
+        rows = [content[name] for name in _track_table.COLUMNS]
+        self._writer.writerows(zip(*rows, strict=True))
 
 
 def read_csv_table(path: str | os.PathLike[str]) -> pd.DataFrame:
