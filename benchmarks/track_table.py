@@ -8,12 +8,13 @@ The table holds the boxes of eight simulated vessels, ten moments a second, with
 first row is a process of its own, from its start to the file of tracks; the rows below take the
 same way inside one process, and time its stages apart. The trackers of the package `trackers` get
 the same boxes as arrays in memory, moment by moment: reading, placing, smoothing and writing are
-not in their time.
+not in their time. Times are those that a core worked, so that others on the machine do not count.
 """
 
 from __future__ import annotations
 
 import argparse
+import resource
 import subprocess
 import sys
 import tempfile
@@ -96,13 +97,14 @@ def _scene(folder: Path, harbour: Harbour) -> Scene:
 def whole_command(world: World, out: Path) -> float:
     """Seconds of a process of its own, its start included."""
     command = [sys.executable, "-c", "from sightline.cli import main; main()"]
-    started = time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
         [*command, "track", str(world.boxes), "--model", str(world.model), "-o", str(out)],
         check=True,
         capture_output=True,
     )
-    return time.perf_counter() - started
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
 class Watch:
@@ -114,22 +116,20 @@ class Watch:
 
     def run(self, stage: str, work: Callable[[], T]) -> T:
         """Do some work, and add its time to a stage."""
-        started = time.perf_counter()
+        started = time.process_time()
         done = work()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - started
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.process_time() - started
         return done
 
 
 def stages(world: World, out: Path) -> tuple[dict[str, float], int]:
-    """Seconds of reading, following, smoothing and writing, one after the other, and the tracks."""
+    """Seconds of reading, following, smoothing and writing, one after the other; and the tracks."""
     watch = Watch()
     model = watch.run("loading the model", lambda: sightline.load(world.model))
     boxes = watch.run("reading", lambda: formats.read_boxes(world.boxes))
     tracker = WorldTracker(positions_on_earth)
     located = watch.run("placing", lambda: model.place(CameraHistory().observed(boxes)))
-    moments = list(_moments(located))
-    found = watch.run("following", lambda: [tracker.update(moment) for moment in moments])
-    followed = Boxes.concatenate(found)
+    followed = watch.run("following", lambda: tracker.follow(located))
     own = [followed[followed.track_id == i] for i in np.unique(followed.track_id)]
     smoother, settings = method("rts"), TrackSettings()
 
@@ -154,11 +154,11 @@ def _moments(boxes: Boxes) -> Iterator[Boxes]:
 def in_one_go(world: World, out: Path) -> float:
     """Seconds from a loaded model to the file of tracks, in this process."""
     model = sightline.load(world.model)
-    started = time.perf_counter()
+    started = time.process_time()
     with formats.track_writer(out) as writer:
         for track in iter_tracks(world.boxes, model):
             writer.add(track)
-    return time.perf_counter() - started
+    return time.process_time() - started
 
 
 def crowd(model: Georeferencer, rng: np.random.Generator) -> list[Boxes]:
@@ -188,9 +188,9 @@ def following_ms(model: Georeferencer) -> FloatArray:
     tracker = WorldTracker(positions_on_earth)
     taken = []
     for moment in crowd(model, np.random.default_rng(0)):
-        started = time.perf_counter()
+        started = time.process_time()
         tracker.update(model.place(CameraHistory().observed(moment)))
-        taken.append(time.perf_counter() - started)
+        taken.append(time.process_time() - started)
     return 1e3 * np.array(taken[10:])
 
 
@@ -219,10 +219,10 @@ def theirs(make: Callable[[], Any], moments: Iterable[Boxes]) -> float:
         for moment in moments
     ]
     tracker = make()
-    started = time.perf_counter()
+    started = time.process_time()
     for detections in given:
         tracker.update(detections)
-    return time.perf_counter() - started
+    return time.process_time() - started
 
 
 def main() -> None:

@@ -139,6 +139,17 @@ def test_what_is_not_known_is_null_in_geojson(tmp_path: Path) -> None:
     assert np.isnan(read_tracks(path)[0].covariance_m2).all()
 
 
+@pytest.mark.parametrize("label", ["50 % full", '"%s", \\ {}\n', "100%%", "Fähre, 渡船", ""])
+def test_a_label_of_any_characters_is_itself_again(tmp_path: Path, label: str) -> None:
+    track = make_track(label=label, n=3)
+    for suffix in (".geojson", ".csv"):
+        write_tracks([track, make_track(1, track_id=8, n=1)], tmp_path / f"t{suffix}")
+    features = json.loads((tmp_path / "t.geojson").read_text(encoding="utf-8"))["features"]
+    assert [f["properties"]["label"] for f in features] == [label] * 3 + ["boat"]
+    rows = pd.read_csv(tmp_path / "t.csv", keep_default_na=False)
+    assert rows["label"].tolist() == [label] * 3 + ["boat"]
+
+
 def test_gpx_is_read_by_others(tmp_path: Path) -> None:
     track = make_track(label="<sail>")
     path = tmp_path / "tracks.gpx"

@@ -142,3 +142,12 @@ def test_boats_of_a_harbour_are_told_apart(seed: int) -> None:
     whole = sum(np.bincount(track[boat == k]).max() for k in np.unique(boat))
     assert pure > 0.97 * len(pairs)
     assert whole > 0.85 * len(pairs)
+
+
+@pytest.mark.parametrize(("times", "same"), [(2.6, True), (3.4, False)])
+def test_a_box_of_another_size_is_of_something_else(times: float, same: bool) -> None:
+    tracker = ImageTracker()
+    moments = [(0.1 * i, [_box(200.0, 100.0)]) for i in range(20)]
+    moments += [(2.0 + 0.1 * i, [_box(200.0, 100.0, 40.0 * times, 24.0 * times)]) for i in range(8)]
+    out = _run(tracker, moments)
+    assert [1 in boxes.track_id for boxes in out[20:]] == [same] * 8

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -361,3 +362,133 @@ def test_boxes_of_which_nobody_knows_where_the_vessel_was_are_followed_in_the_pi
     out = run(tracker, np.arange(0.0, 15.0, 0.1), [lambda t: (2.0 * t, 100.0)])
     assert len(ids_of(out, 0)) == 1
     assert out[-1][0] > 14.0
+
+
+@pytest.mark.parametrize("kind", ["image", "world"])
+@pytest.mark.parametrize(("silent_s", "goes_on"), [(0.8, True), (1.3, False)])
+def test_a_doubtful_box_goes_on_only_with_what_was_just_seen(
+    kind: str, silent_s: float, goes_on: bool
+) -> None:
+    tracker = ImageTracker() if kind == "image" else WorldTracker(locate)
+    box = box_of(10.0, 100.0)
+    for i in range(20):
+        found = tracker.update(Boxes.of([box], time_utc_s=0.1 * i, confidence=0.9))
+    assert found.track_id.tolist() == [1]
+    doubtful = Boxes.of([box], time_utc_s=1.9 + silent_s, confidence=0.2)
+    assert tracker.update(doubtful).track_id.tolist() == [1] * goes_on
+
+
+@pytest.mark.parametrize(("begins_s", "same"), [(3.75, False), (4.45, True)])
+def test_nothing_goes_on_as_what_was_there_beside_it(begins_s: float, same: bool) -> None:
+    """A second boat that comes while the first is still seen is another, wherever it is."""
+    tracker = WorldTracker(locate, WorldTrackerSettings(confirm_s=3.0, direct_s=0.3))
+    out = run(
+        tracker,
+        np.arange(0.0, 10.0, 0.1),
+        [lambda t: (-20.0 + 2.0 * t, 100.0), lambda t: (-28.0 + 2.0 * t, 100.0)],
+        lambda boat, t: t < 4.0 if boat == 0 else t > begins_s,
+    )
+    assert ids_of(out, 0) == {1}
+    assert (ids_of(out, 1) == {1}) == same
+
+
+@pytest.mark.parametrize(("times", "same"), [(1.0, True), (1.9, False)])
+def test_a_boat_that_comes_back_with_another_size_is_another(times: float, same: bool) -> None:
+    tracker = WorldTracker(locate)
+    found: set[int] = set()
+    for i in range(140):
+        time_s = 0.1 * i
+        large = times if time_s >= 9.0 else 1.0
+        boat = box_of(-30.0 + 3.0 * time_s, 110.0, 8.0 * large, 3.0 * large)
+        # Another one, so that time goes on while the boat is hidden.
+        boxes = Boxes.of([box_of(0.0, 40.0), boat], time_utc_s=time_s, label=["other", "boat"])
+        out = tracker.update(boxes[:1] if 5.0 < time_s < 9.0 else boxes)
+        found |= set(out.track_id[out.label == "boat"].tolist())
+    assert len(found) == (1 if same else 2)
+
+
+def placed_by_frame(variance_m2: float, shared_m2: float = 0.0) -> Callable[[Boxes], Positions]:
+    """A camera that sees one place in the image, however far to the east its frame says it is."""
+
+    def locate(seen: Boxes) -> Positions:
+        n = len(seen)
+        return Positions(
+            east_m=seen.frame / 1000.0,
+            north_m=np.full(n, 100.0),
+            covariance_m2=np.tile((variance_m2 + shared_m2) * np.eye(2), (n, 1, 1)),
+            extrapolated=np.zeros(n, dtype=bool),
+            plane=LocalPlane(54.0, 10.0),
+            shared_covariance_m2=np.tile(shared_m2 * np.eye(2), (n, 1, 1)),
+        )
+
+    return locate
+
+
+def test_what_a_target_has_in_common_with_itself_is_not_in_its_estimate() -> None:
+    settings = WorldTrackerSettings(confirm_s=0.0)
+    tracker = WorldTracker(placed_by_frame(2.0, 400.0), settings)
+    tracker.update(Boxes.of([box_of(0.0, 100.0)], time_utc_s=0.0, frame=0))
+    # A twentieth of it stays, as a reserve.
+    expected = np.diag([22.0, 22.0, settings.speed_mps**2, settings.speed_mps**2])
+    np.testing.assert_allclose(tracker.estimates().covariance[0], expected)
+
+
+def test_one_that_had_no_place_yet_begins_with_its_first() -> None:
+    settings = WorldTrackerSettings()
+    somewhere = placed_by_frame(2.0)
+
+    def locate(seen: Boxes) -> Positions:
+        known = seen.frame >= 0
+        found = somewhere(seen)
+        return replace(found, east_m=np.where(known, found.east_m, np.nan))
+
+    tracker = WorldTracker(locate, settings)
+    for i in range(20):
+        tracker.update(Boxes.of([box_of(0.0, 100.0)], time_utc_s=0.1 * i, frame=-1))
+    assert tracker.estimates().track_id.size == 0
+    tracker.update(Boxes.of([box_of(0.0, 100.0)], time_utc_s=2.0, frame=3000))
+    known = tracker.estimates()
+    np.testing.assert_allclose(known.mean, [[3.0, 100.0, 0.0, 0.0]])
+    expected = np.diag([2.0, 2.0, settings.speed_mps**2, settings.speed_mps**2])
+    np.testing.assert_allclose(known.covariance[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("silent_s", "sigmas", "goes_on"),
+    [(0.2, 6.0, True), (0.2, 9.0, False), (1.0, 3.5, True), (1.0, 6.0, False)],
+)
+def test_what_is_off_on_the_earth_is_allowed_while_the_image_tells_more(
+    silent_s: float, sigmas: float, goes_on: bool
+) -> None:
+    settings = WorldTrackerSettings(earth_gate=4.0, loose_gate=8.0, image_s=0.6)
+    tracker = WorldTracker(placed_by_frame(1.0), settings)
+    box = box_of(0.0, 100.0)
+    for i in range(31):
+        tracker.update(Boxes.of([box], time_utc_s=0.2 * i, frame=0))
+    step = np.array([1.0, silent_s])
+    along = tracker.estimates().covariance[0][np.ix_([0, 2], [0, 2])]
+    wandered = settings.acceleration_m2ps3 * silent_s**3 / 3.0
+    sigma_m = np.sqrt(step @ along @ step + wandered + 1.0)
+    off = Boxes.of([box], time_utc_s=6.0 + silent_s, frame=round(1000.0 * sigmas * sigma_m))
+    assert tracker.update(off).track_id.tolist() == [1] * goes_on
+
+
+def test_boxes_whose_errors_last_do_not_make_an_estimate_too_sure() -> None:
+    """Twenty boxes a second, whose errors are alike for a second: by simulated targets."""
+    kept = np.exp(-0.05)
+    inside = []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        tracker = WorldTracker(locate)
+        start, speed = np.array([rng.uniform(-20.0, 20.0), 90.0]), rng.uniform(-2.0, 2.0, 2)
+        error = rng.normal(0.0, 1.0, 2)
+        for time_s in np.arange(0.0, 5.0, 0.05).tolist():
+            error = kept * error + np.sqrt(1.0 - kept**2) * rng.normal(0.0, 1.0, 2)
+            box = np.array(box_of(*(start + time_s * speed)))
+            tracker.update(
+                Boxes.of([box + np.array([error[0], 0.0, error[0], error[1]])], time_utc_s=time_s)
+            )
+        known = tracker.estimates()
+        off = known.mean[0] - np.concatenate([start + time_s * speed, speed])
+        inside.append(float(off @ np.linalg.solve(known.covariance[0], off)) < 9.488)
+    assert np.mean(inside) >= 0.85

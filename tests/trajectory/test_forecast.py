@@ -339,3 +339,39 @@ def test_ellipses_from_a_vessel_hold_for_targets_that_go_straight() -> None:
     share, trusting = np.mean(inside, axis=(0, 2))
     assert 0.9 <= share <= 0.99
     assert trusting < share - 0.05
+
+
+def test_boxes_whose_errors_last_do_not_make_a_target_too_sure() -> None:
+    """Ten boxes a second, whose errors are alike for 0.6 s: by simulated targets."""
+    times, lasts_s, sigma_m = np.arange(0.0, 6.0, 0.1), 0.6, 1.5
+    kept = np.exp(-0.1 / lasts_s)
+    inside = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        error = rng.normal(0.0, sigma_m, (times.size, 2))
+        for i in range(1, times.size):
+            error[i] = kept * error[i - 1] + np.sqrt(1.0 - kept**2) * error[i]
+        start, speed = np.array([30.0, 200.0]), rng.normal(0.0, 2.0, 2)
+        truth = start + times[:, None] * speed
+        mean, covariance = follow(times, positions(truth + error, sigma_m))[-1:].moments()
+        off = mean[0] - np.concatenate([truth[-1], speed])
+        inside.append(off @ np.linalg.solve(covariance[0], off) < chi2.ppf(0.95, 4))
+    assert np.mean(inside) >= 0.85
+
+
+def test_accelerations_until_an_approach_make_it_unsure() -> None:
+    """By targets that are simulated step by step under white acceleration."""
+    density = 0.003
+    motion = MotionModel(straight_share=1.0, straight_s=1e6, straight_m2ps3=density)
+    mean = np.array([120.0, 60.0, -4.0, 0.5])
+    got = closest_approach(state_of(mean.tolist(), np.diag([1.0, 1.0, 1e-4, 1e-4]), motion))
+    rng = np.random.default_rng(1)
+    state = rng.multivariate_normal(mean, np.diag([1.0, 1.0, 1e-4, 1e-4]), 20_000)
+    nearest = np.full(len(state), np.inf)
+    step_s = 0.1
+    for _ in range(500):
+        state[:, :2] += step_s * state[:, 2:]
+        state[:, 2:] += rng.normal(0.0, np.sqrt(density * step_s), (len(state), 2))
+        nearest = np.minimum(nearest, np.hypot(state[:, 0], state[:, 1]))
+    assert got.distance_m == pytest.approx(nearest.mean(), rel=0.02)
+    assert got.distance_sigma_m == pytest.approx(nearest.std(), rel=0.1)

@@ -206,3 +206,17 @@ def test_energy_and_draws_are_the_slope_of_the_likelihood(q_m2ps3: float) -> Non
     assert ((draws > 0.0) & (draws < 4.0)).all()
     slope = draws.sum() - energy.sum() / q_m2ps3
     assert slope == pytest.approx((up - down) / (2.0 * step), abs=1e-4)
+
+
+def test_before_the_first_node_place_and_velocity_are_wrong_in_opposite_ways() -> None:
+    """Backwards in time a velocity that was higher puts the place further back: by draws."""
+    posterior = chain.smooth(_nodes(4, 6), _parameters())
+    lag_s, steps = 5.0, 2000
+    _, covariance = posterior.at(posterior.time_s[:1] - lag_s)
+    # The velocity wanders in small steps back from the first node, and the place follows it.
+    left_s = lag_s * (1.0 - (np.arange(steps) + 0.5) / steps)
+    by_step = np.stack([-left_s, np.ones(steps)])
+    wandered = posterior.q_m2ps3[0] * lag_s / steps * by_step @ by_step.T
+    back = np.kron([[1.0, -lag_s], [0.0, 1.0]], np.eye(2))
+    expected = back @ posterior.covariance[0] @ back.T + np.kron(wandered, np.eye(2))
+    np.testing.assert_allclose(covariance[0], expected, rtol=1e-5, atol=1e-9)

@@ -111,3 +111,33 @@ def test_settings_out_of_range() -> None:
         PaperChain(window_s=0.0)
     with pytest.raises(InputError, match="spline_degree is 7; expected 1 to 5"):
         PaperChain(spline_degree=7)
+
+
+def test_what_counts_as_an_outlier_is_so_many_standard_deviations_off() -> None:
+    """Positions on a circle: the scatter that has this median distance is 1 / 1.1774 of it."""
+    time = np.arange(0.0, 20.0, 0.1)
+    turn = np.arange(time.size) * np.pi / 2.0
+    en = 2.0 * np.stack([np.cos(turn), np.sin(turn)], axis=1).round()
+    off = {60: 4.0 * 0.94, 140: 4.0 * 1.06}
+    for row, sigmas in off.items():
+        en[row] = [sigmas * 2.0 / 1.17741, 0.0]
+    track = PaperChain(outlier_sigmas=4.0).apply(time, _positions(en))
+    assert np.flatnonzero(track.kind != PointKind.MEASURED).tolist() == [140]
+
+
+def test_beyond_the_end_the_place_is_as_unsure_as_the_velocity_makes_it() -> None:
+    rng = np.random.default_rng(7)
+    time = np.arange(0.0, 10.0, 0.1)
+    lags = np.array([0.0, 2.0, 6.0, 12.0])
+    places, stated = [], []
+    for _ in range(200):
+        en = rng.normal(0.0, 1.0, (100, 2))
+        track = PaperChain().apply(time, _positions(en), at_utc_s=time[-1] + lags)
+        places.append(track.east_m)
+        stated.append(track.covariance_m2[:, 0, 0])
+        grown = track.covariance_m2 - track.covariance_m2[:1]
+        by_velocity = (lags**2)[1:, None, None] * track.velocity_covariance_m2ps2[1:]
+        np.testing.assert_allclose(grown[1:], by_velocity, rtol=1e-9)
+    ratio = np.var(places, axis=0)[1:] / np.mean(stated, axis=0)[1:]
+    assert (ratio > 0.5).all()
+    assert (ratio < 2.0).all()

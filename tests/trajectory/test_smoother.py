@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sightline.trajectory.sight import NoiseAtRange
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
-from sightline.trajectory import METHODS, NoiseModel, PaperChain, RtsSmoother, method
-from sightline.types import FloatArray, PointKind, Positions
+from sightline.trajectory import METHODS, NoiseModel, PaperChain, RtsSmoother, method, smoother
+from sightline.trajectory.base import measurements
+from sightline.types import BoolArray, FloatArray, PointKind, Positions
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -356,3 +359,44 @@ def test_honest_with_one_box_each_four_seconds() -> None:
     assert ratio.mean() <= 0.65
     assert ratio.max() < 2.0
     assert 0.90 <= ours[:, 1].mean() <= 0.98
+
+
+def test_noise_at_another_range_is_what_was_stated_there() -> None:
+    """Along the line of sight it grows with the square of the range, across with the range."""
+    range_m, bearing = np.geomspace(60.0, 240.0, 40), np.linspace(-0.5, 0.6, 40)
+    sight = np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+    left = np.stack([-np.cos(bearing), np.sin(bearing)], axis=1)
+    along_m, across_m = 1e-4 * range_m**2, 0.02 * range_m
+    covariance = np.einsum("n,ni,nj->nij", along_m**2, sight, sight)
+    covariance += np.einsum("n,ni,nj->nij", across_m**2, left, left)
+    time = np.arange(40.0)
+    measured, _ = measurements(
+        time, _positions(range_m[:, None] * sight, covariance), None, None, 0
+    )
+    for further in (0.97, 1.04):
+        there = further * range_m
+        at = NoiseAtRange.of(measured).linearised(there[:, None] * sight)
+        first, mixed, second = at.covariance_m2
+        np.testing.assert_allclose(first, (1e-4 * there**2) ** 2, rtol=1e-6)
+        np.testing.assert_allclose(second, (0.02 * there) ** 2, rtol=1e-6)
+        np.testing.assert_allclose(mixed, 0.0, atol=1e-9)
+
+
+def test_what_went_in_and_out_of_the_gate_stays_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that agrees with the track without it alone would go in and out for ever."""
+    time = np.arange(0.0, 20.0, 0.5)
+    en = np.array([40.0, 90.0]) + np.outer(time, [2.0, 1.0])
+    en[17] += [300.0, -200.0]
+
+    def gate(*given: Any) -> BoolArray:
+        used: BoolArray = given[5]
+        agrees = np.ones_like(used)
+        agrees[17] = not used[17]
+        return agrees
+
+    monkeypatch.setattr(smoother, "_gate", gate)
+    smooth = RtsSmoother(noise=WHITE).smooth(time, _positions(en, np.eye(2)))
+    assert np.flatnonzero(~smooth.used).tolist() == [17]
+    track = smooth.at(time)
+    np.testing.assert_allclose(track.east_m, 40.0 + 2.0 * time, atol=0.1)
+    np.testing.assert_allclose(track.north_m, 90.0 + time, atol=0.1)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files
@@ -28,31 +30,46 @@ _VELOCITY_COVARIANCE = (
 _ELLIPSE = ("semi_major_m", "semi_minor_m", "ellipse_bearing_deg")
 _PROBABILITY = 0.95
 
+COLUMNS = (
+    *("track_id", "time_utc", *_MEASURES, "kind", "label"),
+    *(*_COVARIANCE, *_VELOCITY_COVARIANCE, *_ELLIPSE),
+)
+"""The columns of a table of tracks, in their order."""
 
-def table(track: Track) -> pd.DataFrame:
-    """A track as a table, a row a point.
 
-    Degrees are rounded to nine places (0.1 mm), times to milliseconds. ``kind`` is a word of
-    `KINDS`; the ellipse holds the true position with 95 %.
+def columns(track: Track) -> dict[str, NDArray[Any]]:
+    """The columns of a track's table that a point has of its own, but for its time.
+
+    Degrees are rounded to nine places (0.1 mm). ``kind`` is a word of `KINDS`; the ellipse holds
+    the true position with 95 %.
     """
     ellipse = ellipses(track.covariance_m2, _PROBABILITY)
-    columns: dict[str, object] = {
-        "track_id": np.full(len(track), track.track_id, dtype=np.int64),
-        "time_utc": pd.DatetimeIndex(_files.milliseconds(track.time_utc_s), tz="UTC"),
-        "latitude_deg": np.round(track.latitude_deg, 9),
-        "longitude_deg": np.round(track.longitude_deg, 9),
+    latitude, longitude = track.plane.to_geographic(track.east_m, track.north_m)
+    places: dict[str, NDArray[Any]] = {
+        "latitude_deg": np.round(latitude, 9),
+        "longitude_deg": np.round(longitude, 9),
         "speed_mps": np.round(track.speed_mps, 6),
         "course_deg": np.round(track.course_deg, 6),
         "kind": np.array(KINDS)[track.kind],
-        "label": pd.array([track.label] * len(track), dtype="str"),
     }
-    columns |= dict(zip(_COVARIANCE, _triangle(track.covariance_m2), strict=True))
-    columns |= dict(
+    places |= dict(zip(_COVARIANCE, _triangle(track.covariance_m2), strict=True))
+    places |= dict(
         zip(_VELOCITY_COVARIANCE, _triangle(track.velocity_covariance_m2ps2), strict=True)
     )
     axes = (ellipse.semi_major_m, ellipse.semi_minor_m, ellipse.bearing_deg)
-    columns |= {name: np.round(axis, 6) for name, axis in zip(_ELLIPSE, axes, strict=True)}
-    return pd.DataFrame(columns)
+    return places | {name: np.round(axis, 6) for name, axis in zip(_ELLIPSE, axes, strict=True)}
+
+
+def table(track: Track) -> pd.DataFrame:
+    """A track as a table, a row a point: `COLUMNS`, its times in milliseconds."""
+    times = pd.DatetimeIndex(_files.milliseconds(track.time_utc_s), tz="UTC")
+    content: dict[str, object] = {
+        "track_id": np.full(len(track), track.track_id, dtype=np.int64),
+        "time_utc": times,
+        "label": pd.array([track.label] * len(track), dtype="str"),
+        **columns(track),
+    }
+    return pd.DataFrame({name: content[name] for name in COLUMNS})
 
 
 def empty() -> pd.DataFrame:

@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
@@ -24,6 +25,14 @@ _PROPERTIES = (
     "semi_minor_m",
     "ellipse_bearing_deg",
     "label",
+)
+
+_COLUMNS = ("longitude_deg", "latitude_deg", "time", *_PROPERTIES[:-1])
+_FEATURE = (
+    '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [%%s, %%s]}, '
+    '"properties": {"track_id": %s, "time": %%s, '
+    + "".join(f'"{name}": %%s, ' for name in _PROPERTIES[:-1])
+    + '"label": %s}}'
 )
 
 
@@ -45,21 +54,25 @@ class GeoJsonTrackWriter:
 
     def add(self, track: Track) -> None:
         """Write one track."""
-        rows = _track_table.table(track)
-        # JSON knows no NaN: what is not known is null.
-        properties = rows[list(_PROPERTIES)].astype(object)
-        properties = properties.where(properties.notna(), None)
-        properties.insert(0, "track_id", track.track_id)
-        properties.insert(1, "time", _files.rfc3339(track.time_utc_s))
-        places = zip(rows["longitude_deg"].tolist(), rows["latitude_deg"].tolist(), strict=True)
-        for place, known in zip(places, properties.to_dict("records"), strict=True):
-            feature = {
-                "type": "Feature",
-                "geometry": {"type": "Point", "coordinates": place},
-                "properties": known,
-            }
-            self._file.write(self._separator + json.dumps(feature, allow_nan=False))
-            self._separator = ",\n"
+        if not len(track):
+            return
+        columns = _track_table.columns(track)
+        columns["time"] = _files.rfc3339(track.time_utc_s)
+        texts = [_values(columns[name]) for name in _COLUMNS]
+        label = json.dumps(track.label).replace("%", "%%")
+        feature = _FEATURE % (json.dumps(track.track_id), label)
+        points = [feature % point for point in zip(*texts, strict=True)]
+        self._file.write(self._separator + ",\n".join(points))
+        self._separator = ",\n"
+
+
+def _values(column: NDArray[Any]) -> list[str]:
+    """A column as JSON, value by value; what is not known is null, since JSON knows no NaN."""
+    values = column.tolist()
+    if column.dtype.kind == "f" and np.isnan(column).any():
+        values = [None if value != value else value for value in values]
+    # All in one call of the encoder, which is written in C.
+    return json.dumps(values, allow_nan=False)[1:-1].split(", ")
 
 
 def read_geojson_table(path: str | os.PathLike[str]) -> pd.DataFrame:

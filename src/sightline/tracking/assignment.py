@@ -34,6 +34,8 @@ def assign(
     n, m = count
     alone = np.bincount(targets, minlength=n)[targets] == 1
     alone &= np.bincount(boxes, minlength=m)[boxes] == 1
+    if alone.all():
+        return targets, boxes
     chosen = [np.flatnonzero(alone)]
     rest = np.flatnonzero(~alone)
     if rest.size:

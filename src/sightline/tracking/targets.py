@@ -238,6 +238,7 @@ class TargetTracker:
         sure = confidence >= settings.sure_confidence
         doubtful = ~sure & (confidence >= settings.least_confidence)
         confirmed = self._track_id != NO_TRACK
+        free = np.ones(len(self), dtype=bool)
         # Confirmed targets choose first: clutter beside a boat must not take its box.
         for who, which in (
             (
@@ -247,17 +248,18 @@ class TargetTracker:
             (confirmed & (silent_s <= settings.doubtful_s), doubtful),
             (~confirmed, sure),
         ):
-            free = np.ones(len(self), dtype=bool)
-            free[owner[owner >= 0]] = False
             targets = np.flatnonzero(who & free)
+            if not targets.size:
+                continue
             boxes = np.flatnonzero(which & (owner < 0))
-            if not targets.size or not boxes.size:
+            if not boxes.size:
                 continue
             i, j, cost = self._plane.candidates(
                 self._state[targets], silent_s[targets], measured[boxes]
             )
             i, j = assign(i, j, cost, (targets.size, boxes.size))
             owner[boxes[j]] = targets[i]
+            free[targets[i]] = False
         return owner
 
     def _take(self, owner: IntArray, measured: Columns, time_s: float) -> None:

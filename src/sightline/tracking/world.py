@@ -305,10 +305,13 @@ def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     east, north = en_m.T
     range_m = np.maximum(np.hypot(east, north), _NEAREST_M)
-    sight = np.stack([np.arctan2(east, north), 1.0 / range_m], axis=1)
-    squared, cubed = range_m**2, range_m**3
-    derivative = np.stack([north / squared, -east / squared, -east / cubed, -north / cubed], axis=1)
-    return sight, derivative.reshape(-1, 2, 2)
+    squared = range_m * range_m
+    sight, derivative = np.empty((len(en_m), 2)), np.empty((len(en_m), 2, 2))
+    sight[:, 0], sight[:, 1] = np.arctan2(east, north), 1.0 / range_m
+    along_east, along_north = east / squared, north / squared
+    derivative[:, 0, 0], derivative[:, 0, 1] = along_north, -along_east
+    derivative[:, 1, 0], derivative[:, 1, 1] = -along_east / range_m, -along_north / range_m
+    return sight, derivative
 
 
 def _on_both_axes(matrix: FloatArray) -> FloatArray:
@@ -328,10 +331,15 @@ def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
 def _inverse(matrices: FloatArray) -> FloatArray:
     """(N, 2, 2) of (N, 2, 2) symmetric and positive definite."""
     a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
-    adjugate = np.stack([c, -b, -b, a], axis=1).reshape(-1, 2, 2)
-    return np.asarray(adjugate / (a * c - b * b)[:, None, None])
+    determinant = a * c - b * b
+    out = np.empty_like(matrices)
+    out[:, 0, 0], out[:, 1, 1] = c / determinant, a / determinant
+    out[:, 0, 1] = out[:, 1, 0] = -b / determinant
+    return out
 
 
 def _squared(off: FloatArray, spread: FloatArray) -> FloatArray:
     """(N,) squared Mahalanobis distances of (N, 2) under (N, 2, 2)."""
-    return np.asarray(np.einsum("ni,nij,nj->n", off, _inverse(spread), off))
+    x, y = off.T
+    a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+    return np.asarray((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))
