@@ -12,6 +12,7 @@ from sightline.errors import FitError, InputError
 from sightline.formats import write_fixes
 from sightline.georeferencing.correspondences import Pairs
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.georeferencing.support import Support
 from sightline.pipeline.fit import fit_pairs
 from sightline.scene import Scene
 from sightline.scene.correspondences import scene_pairs
@@ -114,6 +115,23 @@ def test_above_the_horizon_there_is_no_place(fitted: Any, model: str) -> None:
     ):
         np.testing.assert_array_equal(np.isfinite(values), [False] * 6 + [True] * 3)
     assert positions.extrapolated[:6].all()
+
+
+@pytest.mark.parametrize("model", MODELS_OF_CAMERAS)
+def test_a_box_without_a_place_is_beyond_what_was_learned(fitted: Any, model: str) -> None:
+    """Control points may reach above the horizon; nothing was learned of boxes there."""
+    corners = [(0.0, 0.0), (1280.0, 0.0), (0.0, 720.0), (1280.0, 720.0)]
+    georeferencer = replace(fitted(model), support=Support.of(corners, (1280, 720)))
+    columns = np.array([200.0, 640.0, 1100.0])
+    horizon = georeferencer.camera.horizon_y_px(columns)
+    boxes = np.concatenate(
+        [box_at(*zip(columns, horizon + off, strict=True)) for off in (-30.0, 1.0, 60.0)]
+    )
+    together = georeferencer.locate(boxes, source="first")
+    np.testing.assert_array_equal(together.known, [False] * 6 + [True] * 3)
+    np.testing.assert_array_equal(together.extrapolated, ~together.known)
+    alone = [georeferencer.locate(box, source="first").extrapolated[0] for box in boxes]
+    np.testing.assert_array_equal(alone, ~together.known)
 
 
 @pytest.mark.parametrize("model", MODELS_OF_CAMERAS)
