@@ -69,9 +69,16 @@ def plant(
     bias: FloatArray | None = None,
     clock_s: FloatArray | None = None,
     hull_m: FloatArray | None = None,
+    bow_rad: FloatArray | None = None,
+    drift_mps: float | None = None,
+    widths: bool = False,
     noise: PixelNoise = NOISE,
 ) -> World:
-    """Boxes of a moving target, whose hull, biases and clocks are drawn from what is believed."""
+    """Boxes of a moving target, whose hull, biases and clocks are drawn from what is believed.
+
+    It goes where its bow points, or drifts anywhere at a speed. Its boxes have no widths, or those
+    of its hull.
+    """
     rng = np.random.default_rng([seed, 71])
     prior = CameraPrior()
     camera = camera or draw_camera(rng)
@@ -86,7 +93,12 @@ def plant(
     if clock_s is None:
         clock_s = rng.normal(0.0, prior.clock_sigma_s, recordings)
     course = rng.uniform(0.0, 2.0 * np.pi, n)
+    if bow_rad is not None:
+        course = bow_rad
     velocity = speed_mps * np.stack([np.sin(course), np.cos(course)], axis=1)
+    if drift_mps is not None:
+        angle = np.random.default_rng([seed, 89]).uniform(0.0, 2.0 * np.pi, n)
+        velocity = drift_mps * np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
     # The near side of the hull lies between the target and the camera.
     sight = np.stack([east - camera.east_m, north - camera.north_m], axis=1)
@@ -100,6 +112,7 @@ def plant(
     slant = np.hypot(np.hypot(east - camera.east_m, north - camera.north_m), camera.height_m)
     row = np.hypot(noise.row_px, noise.row_m * camera.focal_px / slant)
     pixel += rng.normal(size=(n, 2)) * np.stack([np.full(n, noise.column_px), row], axis=1)
+    width = 2.0 * (hull[0] * sine + hull[1] * cosine) * camera.focal_px / slant
     log = np.stack([east, north], axis=1) - clock_s[group][:, None] * velocity
     log += rng.normal(0.0, noise.place_m, (n, 2))
     return World(
@@ -112,6 +125,7 @@ def plant(
             group=group.astype(np.int64),
             velocity_mps=velocity,
             sigma_m=np.zeros(n),
+            width_px=width if widths else np.full(n, np.nan),
         ),
         hull,
         bias,
@@ -182,6 +196,78 @@ def test_the_noise_is_found(fitted: list[tuple[World, CameraFit]]) -> None:
     # Pixels and metres trade against each other; the place, seen nearby, does not.
     found = np.array([(fit.noise.place_m, fit.noise.row_px) for _, fit in fitted])
     np.testing.assert_allclose(np.median(found, axis=0), (NOISE.place_m, NOISE.row_px), rtol=0.3)
+
+
+LONG_HULL_M = np.array([5.0, 1.75])
+"""Half of the length and of the beam of a boat of common proportions."""
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "told"), [(0.0, 1), (90.0, 0)], ids=["beam from ahead", "length from abeam"]
+)
+def test_a_hull_is_as_wide_as_its_aspect_shows_it(off_deg: float, told: int) -> None:
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 97])
+        camera = draw_camera(rng)
+        east, north = at = places(camera, rng, 150)
+        bow = np.arctan2(east - camera.east_m, north - camera.north_m) + np.radians(off_deg)
+        bow += np.pi * rng.integers(0, 2, 150) + rng.normal(0.0, 0.05, 150)
+        world = plant(
+            seed,
+            camera=camera,
+            at=at,
+            hull_m=LONG_HULL_M,
+            bow_rad=bow,
+            widths=True,
+            clock_s=np.zeros(5),
+        )
+        found.append(fit_world(world, starts=2).vector[len(PARAMETERS) + told])
+    assert np.median(found) == pytest.approx(LONG_HULL_M[told], rel=0.2)
+
+
+@pytest.mark.parametrize("drift_mps", [0.0, 0.3])
+def test_a_target_at_anchor_heads_anywhere(drift_mps: float) -> None:
+    """Its velocity says nothing of its bow; its places are as near as those of one under way."""
+    along, lengths = [], []
+    for seed in range(4):
+        world = plant(
+            seed,
+            hull_m=LONG_HULL_M,
+            bias=np.zeros((1, 2)),
+            clock_s=np.zeros(5),
+            drift_mps=drift_mps,
+            widths=True,
+        )
+        seen = world.sightings
+        wide = boxes_of(seen.pixel_px)
+        wide[:, 0], wide[:, 2] = seen.pixel_px[:, 0] + np.outer([-0.5, 0.5], seen.width_px)
+        model = CameraRegressor(SIZE, residual=False, starts=2).fit(
+            wide,
+            np.stack([seen.east_m, seen.north_m], axis=1),
+            velocity_mps=seen.velocity_mps,
+            group=seen.group,
+        )
+        lengths.append(model.fit_.vector[len(PARAMETERS)])
+        camera, truth = world.camera, world.sightings
+        away = np.stack([truth.east_m - camera.east_m, truth.north_m - camera.north_m], axis=1)
+        near = np.hypot(*away.T) < 150.0
+        off = model.predict(wide) - (camera.east_m, camera.north_m) - away
+        along.append(np.nanmedian(np.sum(off * away, axis=1)[near] / np.hypot(*away.T)[near]))
+    assert abs(np.mean(along)) < 0.6
+    np.testing.assert_allclose(np.mean(lengths), LONG_HULL_M[0], rtol=0.25)
+
+
+def test_what_a_log_is_off_by_is_not_counted_twice() -> None:
+    """Without times nothing tells what lasts, and all of it is of single fixes."""
+    total, lasting = [], []
+    for seed in SEEDS:
+        world = plant(seed)
+        noise = fit_world(world, starts=2).noise
+        total.append(np.hypot(noise.place_m, noise.drift_m))
+        lasting.append(noise.drift_m)
+    assert np.median(total) == pytest.approx(NOISE.place_m, rel=0.3)
+    np.testing.assert_array_equal(lasting, 0.0)
 
 
 def test_planted_clock_offsets_are_told_apart() -> None:
