@@ -502,3 +502,163 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.03)
     # Five seconds later they would.
     assert (sigmas[2] < 0.9 * sigmas[0]).sum() >= 4
+
+
+# Of these boxes nothing is to be learned but the camera.
+JUST_THE_CAMERA = CameraPrior(
+    bias_px_sigma=0.05, bias_m_sigma=0.01, half_length_m=(0.0, 0.05), half_beam_m=(0.0, 0.05)
+)
+
+
+def plant_still(seed: int, recordings: int) -> World:
+    """Boxes of points that lie still, ten recordings or so."""
+    world = plant(
+        seed,
+        recordings=recordings,
+        hull_m=np.zeros(2),
+        bias=np.zeros((1, 2)),
+        clock_s=np.zeros(recordings),
+    )
+    still = np.zeros_like(world.sightings.velocity_mps)
+    return replace(world, sightings=replace(world.sightings, velocity_mps=still))
+
+
+@pytest.mark.parametrize("alike_px", [0.0, 4.0])
+def test_boxes_that_err_alike_within_a_recording_tell_less(alike_px: float) -> None:
+    """Whoever drew a recording drew all of it too low or too high; the stated error answers."""
+    count, total = len(PARAMETERS), 0.0
+    for seed in range(12):
+        world = plant_still(seed, recordings=10)
+        pixel = world.sightings.pixel_px.copy()
+        alike = np.random.default_rng([seed, 101]).normal(0.0, alike_px, 10)
+        pixel[:, 1] += alike[world.sightings.group]
+        fit = fit_camera(
+            replace(world.sightings, pixel_px=pixel),
+            SIZE,
+            n_sources=1,
+            prior=JUST_THE_CAMERA,
+            starts=2,
+        )
+        total += squared(difference(fit, world.camera), fit.covariance[:count, :count])
+    low, high = chi2.ppf([0.005, 0.995], 12 * count)
+    assert low < total < high
+
+
+def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
+    """Two boxes a recording whose errors are the same are one."""
+    world = plant_still(3, recordings=1)
+    each = np.arange(len(world.sightings))
+    once = replace(world.sightings, group=each, log=each)
+    twice = once[np.tile(each, 2)]
+    others = np.arange(len(twice))
+    sigmas = [
+        np.sqrt(
+            np.diag(
+                fit_camera(
+                    sightings,
+                    SIZE,
+                    n_sources=1,
+                    prior=JUST_THE_CAMERA,
+                    noise=replace(NOISE, drift_m=0.0),
+                    starts=2,
+                ).covariance
+            )[: len(PARAMETERS)]
+        )
+        for sightings in (once, twice, replace(twice, group=others, log=others))
+    ]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.03)
+    # In recordings of their own they would.
+    assert (sigmas[2] < 0.93 * sigmas[0]).all()
+
+
+@pytest.mark.parametrize("off_px", [-7.0, 7.0])
+def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well(
+    off_px: float,
+) -> None:
+    """Of people who end their boxes at the water one learns nothing of a detector's habit."""
+    careful = SourceBelief(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
+    accurate = PixelNoise(row_px=1.0, row_m=0.05, column_px=2.0, place_m=0.1)
+    held = []
+    for seed in range(4):
+        world = plant(
+            seed,
+            sources=2,
+            hull_m=np.zeros(2),
+            bias=np.zeros((2, 2)),
+            clock_s=np.zeros(5),
+            noise=accurate,
+        )
+        sightings = world.sightings
+        model = CameraRegressor(SIZE, residual=False, starts=2).fit(
+            boxes_of(sightings.pixel_px),
+            np.stack([sightings.east_m, sightings.north_m], axis=1),
+            source=np.array(["one", "other"])[sightings.source],
+            beliefs={"one": careful, "other": careful},
+        )
+        truth = np.stack(places(world.camera, np.random.default_rng([seed, 79]), 60), axis=1)
+        pixel = world.camera.project(*truth.T)
+        pixel[:, 1] += off_px
+        found, covariance = model.predict(boxes_of(pixel), source="detector", return_cov=True)
+        held += [
+            squared(*one) < chi2.ppf(0.95, 2) for one in zip(found - truth, covariance, strict=True)
+        ]
+    assert np.mean(held) > 0.94
+
+
+def test_the_residual_is_of_places_by_clocks_that_were_put_right() -> None:
+    """Most targets go east, and all clocks are late: that must not become a habit of the place."""
+    for seed in range(4):
+        bow = np.radians(90.0) + np.random.default_rng([seed, 103]).normal(0.0, 1.05, 150)
+        world = plant(
+            seed,
+            recordings=4,
+            clock_s=np.full(4, 1.5),
+            hull_m=np.zeros(2),
+            bias=np.zeros((1, 2)),
+            bow_rad=bow,
+            speed_mps=6.0,
+        )
+        seen = world.sightings
+        model = CameraRegressor(SIZE, prior=CameraPrior(clock_sigma_s=3.0), starts=2).fit(
+            boxes_of(seen.pixel_px),
+            np.stack([seen.east_m, seen.north_m], axis=1),
+            velocity_mps=seen.velocity_mps,
+            group=seen.group,
+        )
+        assert model.range_process_ is not None
+        truth = np.stack(places(world.camera, np.random.default_rng([seed, 79]), 100), axis=1)
+        off = model.predict(boxes_of(world.camera.project(*truth.T))) - truth
+        assert np.nanmedian(np.hypot(*off.T)) < 0.5
+
+
+def test_logs_of_something_further_away_do_not_become_a_habit_of_the_place() -> None:
+    """A dozen logs in a corner are of another vessel, behind the one that is seen there."""
+    camera = replace(AHEAD, height_m=2.5)
+    accurate = PixelNoise(row_px=1.0, row_m=0.02, column_px=2.0, place_m=0.3)
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 11])
+        distance = np.exp(rng.uniform(np.log(25.0), np.log(250.0), 250))
+        bearing = np.radians(rng.uniform(-30.0, 30.0, 250))
+        seen = plant(
+            seed,
+            recordings=6,
+            camera=camera,
+            at=(distance * np.sin(bearing), distance * np.cos(bearing)),
+            hull_m=np.zeros(2),
+            bias=np.zeros((1, 2)),
+            clock_s=np.zeros(6),
+            noise=accurate,
+        ).sightings
+        logged = np.stack([seen.east_m, seen.north_m], axis=1)
+        corner = np.flatnonzero((bearing < np.radians(-8.0)) & (distance > 140.0))
+        logged[corner[:12]] *= 2.2
+        bearing, distance = np.radians(rng.uniform(-30, -8, 200)), rng.uniform(140, 250, 200)
+        pixel = camera.project(distance * np.sin(bearing), distance * np.cos(bearing))
+        off = []
+        for residual in (False, True):
+            model = CameraRegressor(SIZE, residual=residual, prior=JUST_THE_CAMERA, starts=2)
+            model.fit(boxes_of(seen.pixel_px), logged, group=seen.group)
+            found = np.hypot(*model.predict(boxes_of(pixel)).T)
+            off.append(np.nanmedian(np.abs(np.log(found / distance))))
+        # A tenth of the range is what these logs turn the camera by; more is the residual's.
+        assert off[1] < 1.2 * off[0] < 0.12
