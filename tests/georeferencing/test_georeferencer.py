@@ -172,16 +172,21 @@ def test_what_moments_share_is_a_part_of_the_whole_covariance(
 def test_covariances_cover_the_errors_that_truth_shows(
     fitted: Any, small_camera: SimulatedCamera, model: str
 ) -> None:
-    world = Harbour.random(77, duration_s=120.0, camera=small_camera)
-    boxes = world.boxes(world.times(1.0), noise=BoxNoise(std_px=1.0))
-    truth = world.truth(boxes.time_utc_s)
-    positions = fitted(model).locate(boxes.xyxy_px, source="first")
-    known = positions.known
-    error = np.column_stack([positions.east_m - truth.east_m, positions.north_m - truth.north_m])
-    square = np.einsum(
-        "ni,nij,nj->n", error[known], np.linalg.inv(positions.covariance_m2[known]), error[known]
-    )
+    squares = []
+    for seed in (77, 78, 79):
+        world = Harbour.random(seed, duration_s=120.0, camera=small_camera)
+        boxes = world.boxes(world.times(1.0), noise=BoxNoise(std_px=1.0))
+        truth = world.truth(boxes.time_utc_s)
+        found = fitted(model).locate(boxes.xyxy_px, source="first")
+        known = found.known
+        error = np.column_stack([found.east_m - truth.east_m, found.north_m - truth.north_m])[known]
+        solved = np.linalg.solve(found.covariance_m2[known], error[:, :, None])[:, :, 0]
+        squares.append(np.sum(error * solved, axis=1))
+    square = np.concatenate(squares)
     assert (square < 5.99).mean() >= 0.95
+    # Nor are they twice as long as need be. They answer for a clock that is off, as none is here,
+    # which makes a square of 2, that of two true standard deviations, about half of it.
+    assert np.mean(square) > 0.5
 
 
 def test_an_unknown_model_lists_the_known(small_scene: Scene) -> None:
