@@ -105,6 +105,25 @@ def test_an_unsure_heading_swings_a_place_across_the_line_of_sight() -> None:
     )
 
 
+@pytest.mark.parametrize("heading_deg", [0.0, 35.0, 160.0, 290.0])
+def test_an_unsure_heading_swings_a_place_in_any_direction(heading_deg: float) -> None:
+    """The covariance is that of the places which headings a little off would make."""
+    seen = np.array([[150.0, 80.0], [-60.0, 240.0], [90.0, -120.0]])
+    step = 1e-5
+    swung = [
+        north_up(positions(seen), pose(heading_deg + np.degrees(by), n=3)) for by in (-step, step)
+    ]
+    by_heading = (
+        np.stack([swung[1].east_m - swung[0].east_m, swung[1].north_m - swung[0].north_m], axis=1)
+        / (2.0 * step)
+        * np.radians(HEADING_SIGMA_DEG)
+    )
+    expected = by_heading[:, :, None] * by_heading[:, None, :] + POSITION_SIGMA_M**2 * np.eye(2)
+    made = north_up(positions(seen), pose(heading_deg, n=3))
+    np.testing.assert_allclose(made.covariance_m2, expected, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(made.shared_covariance_m2, expected, rtol=1e-6, atol=1e-6)
+
+
 def test_the_ellipse_turns_with_the_bow() -> None:
     # Long ahead; under way to the east that is long to the east.
     made = north_up(positions(np.array([[0.0, 1e-9]]), np.diag([1.0, 100.0])[None]), pose(90.0))
@@ -156,14 +175,28 @@ def test_headings_that_are_none(times, headings) -> None:
         Headings(np.array(times), np.array(headings))
 
 
-def noisy_way(seed: int, way_m: np.ndarray) -> Platform:
-    """A fix a second from a receiver whose error lasts for twenty seconds."""
+def noisy_way(seed: int, way_m: np.ndarray, every_s: int = 1) -> Platform:
+    """A fix a second, or more seldom, from a receiver whose error lasts for twenty seconds."""
     rng = np.random.default_rng(seed)
     kept = np.exp(-1.0 / 20.0)
     off = POSITION_SIGMA_M * rng.standard_normal(way_m.shape)
     for i in range(1, len(off)):
         off[i] = kept * off[i - 1] + np.sqrt(1.0 - kept**2) * off[i]
-    return Platform(log(np.arange(len(way_m), dtype=float), way_m + off))
+    return Platform(log(np.arange(len(way_m), dtype=float)[::every_s], (way_m + off)[::every_s]))
+
+
+def accelerated_way(seed: int, acceleration_m2ps3: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places and velocities (240, 2), a second apart, under white acceleration."""
+    push = np.sqrt(acceleration_m2ps3 * 0.1)
+    push = push * np.random.default_rng([seed, 1]).normal(size=(2400, 2))
+    velocity = np.cumsum(push, axis=0) + np.array([1.5, -0.8])
+    return np.cumsum(0.1 * velocity, axis=0)[::10], velocity[::10]
+
+
+def squared_errors(pose: Pose, way_m: np.ndarray, velocity_mps: np.ndarray) -> np.ndarray:
+    """(N,) of place and velocity, in stated standard deviations; their mean should be 4."""
+    off = np.stack([pose.en_m - way_m, pose.velocity_mps - velocity_mps], axis=1)
+    return np.asarray((off * np.linalg.solve(pose.covariance, off)).sum(axis=(1, 2)))
 
 
 def straight(n: int) -> np.ndarray:
@@ -175,21 +208,39 @@ def test_the_velocity_of_a_platform_is_known_as_well_as_is_stated(until_then: bo
     rows = np.arange(60, 235, 5)
     distances, errors = [], []
     for seed in range(40):
-        # White acceleration of 0.003 m²/s³, that is so much each tenth of a second.
-        push = np.sqrt(0.003 * 0.1) * np.random.default_rng([seed, 1]).normal(size=(2400, 2))
-        velocity = np.cumsum(push, axis=0) + np.array([1.5, -0.8])
-        way = np.cumsum(0.1 * velocity, axis=0)[::10]
-        velocity = velocity[::10]
-        platform = noisy_way(seed, way)
-        pose = platform.pose(rows.astype(float), PLANE, until_then=until_then)
-        off = np.stack([pose.en_m - way[rows], pose.velocity_mps - velocity[rows]], axis=1)
-        solved = np.linalg.solve(pose.covariance, off)
-        distances.append((off * solved).sum(axis=(1, 2)))
-        errors.append(off[:, 1])
+        way, velocity = accelerated_way(seed, 0.003)
+        pose = noisy_way(seed, way).pose(rows.astype(float), PLANE, until_then=until_then)
+        distances.append(squared_errors(pose, way[rows], velocity[rows]))
+        errors.append(pose.velocity_mps - velocity[rows])
     # Two numbers along each of two axes.
     assert np.mean(distances) == pytest.approx(4.0, rel=0.35)
     # Two fixes a second apart tell a velocity to half a metre a second.
     assert np.std(errors) < 0.25
+
+
+def test_the_first_fixes_tell_no_more_than_their_errors_allow() -> None:
+    """What the receiver is off by lasts, so that the second fix repeats the error of the first."""
+    rows = np.arange(1, 9)
+    distances = []
+    for seed in range(40):
+        way, velocity = accelerated_way(seed, 0.003)
+        pose = noisy_way(seed, way).pose(rows.astype(float), PLANE, until_then=True)
+        distances.append(squared_errors(pose, way[rows], velocity[rows]))
+        # No more than the first fix and, for its own little noise, the second.
+        assert (pose.covariance[:, 0, 0] > 0.8 * POSITION_SIGMA_M**2).all()
+    assert np.mean(distances) == pytest.approx(4.0, rel=0.35)
+
+
+def test_what_a_platform_does_after_its_last_fix_is_not_known() -> None:
+    """Six seconds of acceleration are more than all that the fixes leave open."""
+    rows = np.arange(62, 230, 7)
+    distances = []
+    for seed in range(40):
+        way, velocity = accelerated_way(seed, 0.1)
+        platform = noisy_way(seed, way, every_s=7)
+        pose = platform.pose(rows.astype(float), PLANE, until_then=True)
+        distances.append(squared_errors(pose, way[rows], velocity[rows]))
+    assert np.mean(distances) == pytest.approx(4.0, rel=0.35)
 
 
 def test_until_then_nothing_later_counts() -> None:

@@ -71,9 +71,16 @@ def plant(
     bias: FloatArray | None = None,
     clock_s: FloatArray | None = None,
     hull_m: FloatArray | None = None,
+    bow_rad: FloatArray | None = None,
+    drift_mps: float | None = None,
+    widths: bool = False,
     noise: PixelNoise = NOISE,
 ) -> World:
-    """Boxes of a moving target, whose hull, biases and clocks are drawn from what is believed."""
+    """Boxes of a moving target, whose hull, biases and clocks are drawn from what is believed.
+
+    It goes where its bow points, or drifts anywhere at a speed. Its boxes have no widths, or those
+    of its hull.
+    """
     rng = np.random.default_rng([seed, 71])
     prior = CameraPrior()
     camera = camera or draw_camera(rng)
@@ -88,7 +95,12 @@ def plant(
     if clock_s is None:
         clock_s = rng.normal(0.0, prior.clock_sigma_s, recordings)
     course = rng.uniform(0.0, 2.0 * np.pi, n)
+    if bow_rad is not None:
+        course = bow_rad
     velocity = speed_mps * np.stack([np.sin(course), np.cos(course)], axis=1)
+    if drift_mps is not None:
+        angle = np.random.default_rng([seed, 89]).uniform(0.0, 2.0 * np.pi, n)
+        velocity = drift_mps * np.stack([np.sin(angle), np.cos(angle)], axis=1)
 
     # The near side of the hull lies between the target and the camera.
     sight = np.stack([east - camera.east_m, north - camera.north_m], axis=1)
@@ -102,6 +114,7 @@ def plant(
     slant = np.hypot(np.hypot(east - camera.east_m, north - camera.north_m), camera.height_m)
     row = np.hypot(noise.row_px, noise.row_m * camera.focal_px / slant)
     pixel += rng.normal(size=(n, 2)) * np.stack([np.full(n, noise.column_px), row], axis=1)
+    width = 2.0 * (hull[0] * sine + hull[1] * cosine) * camera.focal_px / slant
     log = np.stack([east, north], axis=1) - clock_s[group][:, None] * velocity
     log += rng.normal(0.0, noise.place_m, (n, 2))
     return World(
@@ -114,6 +127,7 @@ def plant(
             group=group.astype(np.int64),
             velocity_mps=velocity,
             sigma_m=np.zeros(n),
+            width_px=width if widths else np.full(n, np.nan),
         ),
         hull,
         bias,
@@ -182,6 +196,80 @@ def test_the_noise_is_found(fitted: list[tuple[World, CameraFit]]) -> None:
     # Pixels and metres trade against each other; the place, seen nearby, does not.
     found = np.array([(fit.noise.place_m, fit.noise.row_px) for _, fit in fitted])
     np.testing.assert_allclose(np.median(found, axis=0), (NOISE.place_m, NOISE.row_px), rtol=0.3)
+
+
+LONG_HULL_M = np.array([5.0, 1.75])
+"""Half of the length and of the beam of a boat of common proportions."""
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "told"), [(0.0, 1), (90.0, 0)], ids=["beam from ahead", "length from abeam"]
+)
+def test_a_hull_is_as_wide_as_its_aspect_shows_it(off_deg: float, told: int) -> None:
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng([seed, 97])
+        camera = draw_camera(rng)
+        east, north = at = places(camera, rng, 150)
+        bow = np.arctan2(east - camera.east_m, north - camera.north_m) + np.radians(off_deg)
+        bow += np.pi * rng.integers(0, 2, 150) + rng.normal(0.0, 0.05, 150)
+        world = plant(
+            seed,
+            camera=camera,
+            at=at,
+            hull_m=LONG_HULL_M,
+            bow_rad=bow,
+            widths=True,
+            clock_s=np.zeros(5),
+        )
+        found.append(fit_world(world, starts=2).vector[len(PARAMETERS) + told])
+    assert np.median(found) == pytest.approx(LONG_HULL_M[told], rel=0.2)
+
+
+@pytest.mark.parametrize("drift_mps", [0.0, 0.3])
+def test_a_target_at_anchor_heads_anywhere(drift_mps: float) -> None:
+    """Its velocity says nothing of its bow; its places are as near as those of one under way."""
+    along, lengths = [], []
+    for seed in range(4):
+        world = plant(
+            seed,
+            hull_m=LONG_HULL_M,
+            bias=np.zeros((1, 2)),
+            clock_s=np.zeros(5),
+            drift_mps=drift_mps,
+            widths=True,
+        )
+        seen = world.sightings
+        wide = boxes_of(seen.pixel_px)
+        wide[:, 0], wide[:, 2] = seen.pixel_px[:, 0] + np.outer([-0.5, 0.5], seen.width_px)
+        model = CameraRegressor(SIZE, residual=False, starts=2).fit_observations(
+            CameraObservations(
+                wide,
+                np.stack([seen.east_m, seen.north_m], axis=1),
+                velocity_mps=seen.velocity_mps,
+                recording=seen.group,
+            )
+        )
+        lengths.append(model.fit_.vector[len(PARAMETERS)])
+        camera, truth = world.camera, world.sightings
+        away = np.stack([truth.east_m - camera.east_m, truth.north_m - camera.north_m], axis=1)
+        near = np.hypot(*away.T) < 150.0
+        off = model.predict(wide) - (camera.east_m, camera.north_m) - away
+        along.append(np.nanmedian(np.sum(off * away, axis=1)[near] / np.hypot(*away.T)[near]))
+    assert abs(np.mean(along)) < 0.6
+    np.testing.assert_allclose(np.mean(lengths), LONG_HULL_M[0], rtol=0.25)
+
+
+def test_what_a_log_is_off_by_is_not_counted_twice() -> None:
+    """Without times nothing tells what lasts, and all of it is of single fixes."""
+    total, lasting = [], []
+    for seed in SEEDS:
+        world = plant(seed)
+        noise = fit_world(world, starts=2).noise
+        total.append(np.hypot(noise.place_m, noise.drift_m))
+        lasting.append(noise.drift_m)
+    assert np.median(total) == pytest.approx(NOISE.place_m, rel=0.3)
+    np.testing.assert_array_equal(lasting, 0.0)
 
 
 def test_planted_clock_offsets_are_told_apart() -> None:
@@ -421,3 +509,172 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
     np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.03)
     # Five seconds later they would.
     assert (sigmas[2] < 0.9 * sigmas[0]).sum() >= 4
+
+
+# Of these boxes nothing is to be learned but the camera.
+JUST_THE_CAMERA = CameraPrior(
+    bias_px_sigma=0.05, bias_m_sigma=0.01, half_length_m=(0.0, 0.05), half_beam_m=(0.0, 0.05)
+)
+
+
+def plant_still(seed: int, recordings: int) -> World:
+    """Boxes of points that lie still, ten recordings or so."""
+    world = plant(
+        seed,
+        recordings=recordings,
+        hull_m=np.zeros(2),
+        bias=np.zeros((1, 2)),
+        clock_s=np.zeros(recordings),
+    )
+    still = np.zeros_like(world.sightings.velocity_mps)
+    return replace(world, sightings=replace(world.sightings, velocity_mps=still))
+
+
+@pytest.mark.parametrize("alike_px", [0.0, 4.0])
+def test_boxes_that_err_alike_within_a_recording_tell_less(alike_px: float) -> None:
+    """Whoever drew a recording drew all of it too low or too high; the stated error answers."""
+    count, total = len(PARAMETERS), 0.0
+    for seed in range(12):
+        world = plant_still(seed, recordings=10)
+        pixel = world.sightings.pixel_px.copy()
+        alike = np.random.default_rng([seed, 101]).normal(0.0, alike_px, 10)
+        pixel[:, 1] += alike[world.sightings.group]
+        fit = fit_camera(
+            replace(world.sightings, pixel_px=pixel),
+            SIZE,
+            n_sources=1,
+            prior=JUST_THE_CAMERA,
+            starts=2,
+        )
+        total += squared(difference(fit, world.camera), fit.covariance[:count, :count])
+    low, high = chi2.ppf([0.005, 0.995], 12 * count)
+    assert low < total < high
+
+
+def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
+    """Two boxes a recording whose errors are the same are one."""
+    world = plant_still(3, recordings=1)
+    each = np.arange(len(world.sightings))
+    once = replace(world.sightings, group=each, log=each)
+    twice = once[np.tile(each, 2)]
+    others = np.arange(len(twice))
+    sigmas = [
+        np.sqrt(
+            np.diag(
+                fit_camera(
+                    sightings,
+                    SIZE,
+                    n_sources=1,
+                    prior=JUST_THE_CAMERA,
+                    noise=replace(NOISE, drift_m=0.0),
+                    starts=2,
+                ).covariance
+            )[: len(PARAMETERS)]
+        )
+        for sightings in (once, twice, replace(twice, group=others, log=others))
+    ]
+    np.testing.assert_allclose(sigmas[1], sigmas[0], rtol=0.03)
+    # In recordings of their own they would.
+    assert (sigmas[2] < 0.93 * sigmas[0]).all()
+
+
+@pytest.mark.parametrize("off_px", [-7.0, 7.0])
+def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well(
+    off_px: float,
+) -> None:
+    """Of people who end their boxes at the water one learns nothing of a detector's habit."""
+    careful = SourceBelief(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
+    accurate = PixelNoise(row_px=1.0, row_m=0.05, column_px=2.0, place_m=0.1)
+    held = []
+    for seed in range(4):
+        world = plant(
+            seed,
+            sources=2,
+            hull_m=np.zeros(2),
+            bias=np.zeros((2, 2)),
+            clock_s=np.zeros(5),
+            noise=accurate,
+        )
+        sightings = world.sightings
+        model = CameraRegressor(
+            SIZE, residual=False, source_priors={"one": careful, "other": careful}, starts=2
+        ).fit_observations(
+            CameraObservations(
+                boxes_of(sightings.pixel_px),
+                np.stack([sightings.east_m, sightings.north_m], axis=1),
+                source=np.array(["one", "other"])[sightings.source],
+            )
+        )
+        truth = np.stack(places(world.camera, np.random.default_rng([seed, 79]), 60), axis=1)
+        pixel = world.camera.project(*truth.T)
+        pixel[:, 1] += off_px
+        found, covariance = model.predict(boxes_of(pixel), source="detector", return_cov=True)
+        held += [
+            squared(*one) < chi2.ppf(0.95, 2) for one in zip(found - truth, covariance, strict=True)
+        ]
+    assert np.mean(held) > 0.94
+
+
+def test_the_residual_is_of_places_by_clocks_that_were_put_right() -> None:
+    """Most targets go east, and all clocks are late: that must not become a habit of the place."""
+    for seed in range(4):
+        bow = np.radians(90.0) + np.random.default_rng([seed, 103]).normal(0.0, 1.05, 150)
+        world = plant(
+            seed,
+            recordings=4,
+            clock_s=np.full(4, 1.5),
+            hull_m=np.zeros(2),
+            bias=np.zeros((1, 2)),
+            bow_rad=bow,
+            speed_mps=6.0,
+        )
+        seen = world.sightings
+        model = CameraRegressor(
+            SIZE, prior=CameraPrior(clock_sigma_s=3.0), starts=2
+        ).fit_observations(
+            CameraObservations(
+                boxes_of(seen.pixel_px),
+                np.stack([seen.east_m, seen.north_m], axis=1),
+                velocity_mps=seen.velocity_mps,
+                recording=seen.group,
+            )
+        )
+        assert model.range_process_ is not None
+        truth = np.stack(places(world.camera, np.random.default_rng([seed, 79]), 100), axis=1)
+        off = model.predict(boxes_of(world.camera.project(*truth.T))) - truth
+        assert np.nanmedian(np.hypot(*off.T)) < 0.5
+
+
+def test_logs_of_something_further_away_do_not_become_a_habit_of_the_place() -> None:
+    """A dozen logs in a corner are of another vessel, behind the one that is seen there."""
+    camera = replace(AHEAD, height_m=2.5)
+    accurate = PixelNoise(row_px=1.0, row_m=0.02, column_px=2.0, place_m=0.3)
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 11])
+        distance = np.exp(rng.uniform(np.log(25.0), np.log(250.0), 250))
+        bearing = np.radians(rng.uniform(-30.0, 30.0, 250))
+        seen = plant(
+            seed,
+            recordings=6,
+            camera=camera,
+            at=(distance * np.sin(bearing), distance * np.cos(bearing)),
+            hull_m=np.zeros(2),
+            bias=np.zeros((1, 2)),
+            clock_s=np.zeros(6),
+            noise=accurate,
+        ).sightings
+        logged = np.stack([seen.east_m, seen.north_m], axis=1)
+        corner = np.flatnonzero((bearing < np.radians(-8.0)) & (distance > 140.0))
+        logged[corner[:12]] *= 2.2
+        bearing, distance = np.radians(rng.uniform(-30, -8, 200)), rng.uniform(140, 250, 200)
+        pixel = camera.project(distance * np.sin(bearing), distance * np.cos(bearing))
+        off = []
+        for residual in (False, True):
+            model = CameraRegressor(SIZE, residual=residual, prior=JUST_THE_CAMERA, starts=2)
+            model.fit_observations(
+                CameraObservations(boxes_of(seen.pixel_px), logged, recording=seen.group)
+            )
+            found = np.hypot(*model.predict(boxes_of(pixel)).T)
+            off.append(np.nanmedian(np.abs(np.log(found / distance))))
+        # A tenth of the range is what these logs turn the camera by; more is the residual's.
+        assert off[1] < 1.2 * off[0] < 0.12

@@ -161,6 +161,19 @@ def test_sightings_that_come_faster_than_needed_are_thinned_evenly() -> None:
     np.testing.assert_array_equal(in_blocks, np.flatnonzero(np.isfinite(time[chosen])))
 
 
+def test_a_longer_log_tells_more_however_fast_it_comes() -> None:
+    """What counts is boxes in a time: ten minutes keep ten times as many as one."""
+    minutes = 10
+    time = np.arange(0.0, minutes * LONGEST_BLOCK_S, 0.1)
+    chosen = thinned(time, np.zeros(time.size, dtype=np.int64))
+    assert chosen.size == pytest.approx(minutes * MOST_IN_BLOCK, abs=minutes)
+    a_minute = np.histogram(time[chosen], minutes, (0.0, minutes * LONGEST_BLOCK_S))[0]
+    np.testing.assert_allclose(a_minute, MOST_IN_BLOCK, atol=2)
+    # Two logs at once are two logs, each with as many.
+    both = thinned(np.tile(time, 2), np.repeat([0, 1], time.size))
+    assert both.size == 2 * chosen.size
+
+
 HEAVE_M = 0.3
 
 

@@ -16,6 +16,7 @@ from sightline.camera.pinhole import (
     BY_COLUMN,
     BY_ROW,
     Camera,
+    locate_one,
     locate_with_jacobian,
     project_with_jacobian,
 )
@@ -231,6 +232,27 @@ def test_a_barrel_with_one_term_refuses_what_lies_beyond_its_fold() -> None:
     points = np.array([camera.east_m, camera.north_m]) + reach[:, None] * rays[:, :2]
     assert len(points) > 5
     assert np.isnan(camera.project(*points.T)).all()
+
+
+def test_one_pixel_beyond_the_fold_has_no_place_and_neither_among_many() -> None:
+    """No ray reaches further out in the image than the largest radius that the lens makes."""
+    camera = replace(CAMERA, focal_px=700.0, k1=-0.32, k2=0.02, pitch_deg=60.0)
+    radius = np.linspace(0.0, 1.5, 100_001)
+    made = radius * (1.0 + camera.k1 * radius**2 + camera.k2 * radius**4)
+    fold_px = camera.focal_px * made[: np.argmax(np.diff(made) < 0.0) + 1].max()
+    pixel = np.random.default_rng(5).uniform((0.0, 0.0), SIZE, (400, 2))
+    away = np.hypot(*(pixel - 0.5 * np.array(SIZE)).T)
+    seen = away < fold_px
+    # Looking down as steeply as here, whatever the lens shows is water.
+    assert 40 < np.sum(~seen) < 360
+    assert away.max() < 2.0 * fold_px
+    many = locate_with_jacobian(camera, *pixel.T, 0.0, 0.0)
+    np.testing.assert_array_equal(np.isfinite(many.distance_m), seen)
+    for i, (x, y) in enumerate(pixel.tolist()):
+        one = locate_one(camera, x, y, 0.0, 0.0)
+        assert (one is not None) == seen[i]
+        if one is not None:
+            assert one[0] == pytest.approx(many.distance_m[i], rel=1e-9)
 
 
 def test_pixels_up_to_the_fold_come_back_to_themselves() -> None:

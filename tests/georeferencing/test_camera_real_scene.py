@@ -52,13 +52,15 @@ def fit_pairs(scene: Scene, pairs: Pairs, *, starts: int) -> CameraFit:
 def test_a_recording_left_out_is_placed_within_a_few_metres(comparison: Comparison) -> None:
     report = comparison.models["camera+gpr"]
     assert report.ape.n == 125
-    assert report.ape.rmse <= 8.5
-    assert report.ape.median <= 4.8
+    # What the README quotes, with room for another processor's rounding.
+    assert report.ape.rmse <= 6.85
+    assert report.ape.median <= 3.9
     assert 0.90 <= report.coverage.p95 <= 0.98
 
 
 def test_smoothing_brings_it_nearer(comparison: Comparison) -> None:
     smooth = comparison.smoothed["camera+gpr"]
+    assert smooth.ape.rmse <= 5.3
     assert smooth.ape.rmse < comparison.models["camera+gpr"].ape.rmse
     assert 0.88 <= smooth.coverage.p95 <= 0.99
 

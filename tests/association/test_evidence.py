@@ -1,0 +1,115 @@
+"""What an explanation costs, and when two of them are as good as each other."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from sightline.association import Association, associate
+from sightline.association.observations import Observations, observe
+from sightline.association.search import Watch
+from sightline.camera.pinhole import Camera
+from sightline.errors import FitError
+from sightline.logged_path import LoggedPath
+from sightline.types import Boxes, FloatArray
+
+SIZE = (1280, 720)
+CAMERA = Camera(5.0, 3.0, 0.4, 40.0, 1000.0, -0.1, 0.01, 0.0, 0.0, SIZE)
+START_UTC_S = 1_717_236_000.0
+DURATION_S = 240.0
+
+
+def place(since_s: FloatArray) -> FloatArray:
+    """(N, 2) of a vessel that turns to and fro before the camera, 45 to 280 m away."""
+    phase = 2.0 * np.pi * since_s
+    bearing = np.radians(
+        CAMERA.heading_deg + 24.0 * np.sin(phase / 83.0 + 0.5) + 4.0 * np.sin(phase / 29.0)
+    )
+    distance = 110.0 * np.exp(0.75 * np.cos(phase / 61.0) + 0.2 * np.sin(since_s / 9.0))
+    return distance[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+
+
+def seen(first_s: float = 0.0, last_s: float = DURATION_S) -> Observations:
+    """Its boxes, two a second."""
+    since_s = np.arange(first_s, last_s, 0.5)
+    where = place(since_s)
+    foot = CAMERA.project(*where.T)
+    foot = foot + np.random.default_rng(1).normal(0.0, 1.0, foot.shape)
+    half = 4000.0 / np.hypot(*where.T)
+    column, row = foot.T
+    return observe(
+        Boxes.of(
+            np.stack([column - half, row - half, column + half, row], axis=1),
+            time_utc_s=START_UTC_S + since_s,
+            track_id=np.ones(since_s.size, dtype=np.int64),
+            source="detector",
+        )
+    )
+
+
+def log(
+    name: str, turned_deg: float = 0.0, north_m: float = 0.0, late_s: float = 0.0
+) -> LoggedPath:
+    """Its log, turned clockwise about the camera, moved north, or of another time."""
+    since_s = np.arange(-80.0, DURATION_S + 80.0)
+    sine, cosine = np.sin(np.radians(turned_deg)), np.cos(np.radians(turned_deg))
+    path = place(since_s - late_s) @ np.array([[cosine, -sine], [sine, cosine]])
+    path[:, 1] += north_m
+    return LoggedPath(name, START_UTC_S + since_s, path, np.full_like(path, np.nan))
+
+
+def recognise(*logs: LoggedPath) -> Association:
+    return associate([Watch("one", seen(), logs)], SIZE)
+
+
+@pytest.mark.parametrize(("name", "turned_deg"), [("one", 0.0), ("other", 60.0)])
+def test_each_of_two_logs_alone_explains_what_is_seen(name: str, turned_deg: float) -> None:
+    """The camera of the other looks 60 degrees further to the right, and all is the same."""
+    found = recognise(log(name, turned_deg))
+    assert [one.vessel for one in found.found] == [name]
+    heading_deg = CAMERA.heading_deg + turned_deg
+    assert found.camera.heading_deg == pytest.approx(heading_deg, abs=1.0)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_two_logs_that_explain_it_alike_are_refused(order: int) -> None:
+    """Nothing says which of two vessels is in view, nor where the camera looks."""
+    logs = [log("one"), log("other", 60.0)][::order]
+    with pytest.raises(
+        FitError, match="two explanations are about as good as each other"
+    ) as caught:
+        recognise(*logs)
+    assert "\n" not in str(caught.value)
+
+
+def test_of_two_logs_the_one_that_goes_as_what_is_seen_is_told() -> None:
+    """The other goes the same way, but not at the same time."""
+    found = associate(
+        [Watch("one", seen(), (log("one"), log("other", 60.0, late_s=150.0)))],
+        SIZE,
+        largest_offset_s=30.0,
+    )
+    assert [one.vessel for one in found.found] == ["one"]
+
+
+def test_the_choice_among_vessels_is_paid() -> None:
+    """One of four is log 4 less evident than the only one, where the others are never in view."""
+    behind = [log(str(i), 180.0, north_m=-3000.0 * i) for i in (1, 2, 3)]
+    alone, chosen = recognise(log("one")), recognise(log("one"), *behind)
+    assert [one.vessel for one in chosen.found] == ["one"]
+    assert alone.evidence - chosen.evidence == pytest.approx(np.log(4.0), abs=0.05)
+
+
+@pytest.mark.parametrize("recordings", [1, 2])
+def test_a_clock_that_may_be_anywhere_is_paid(recordings: int) -> None:
+    """Twice the time in which it may lie is log 2, once, since one camera has one clock."""
+    cuts = np.linspace(0.0, DURATION_S, recordings + 1)
+    watches = [
+        Watch(f"{i}", seen(first_s, last_s), (log("one"),))
+        for i, (first_s, last_s) in enumerate(pairwise(cuts.tolist()))
+    ]
+    narrow, wide = (associate(watches, SIZE, largest_offset_s=s) for s in (20.0, 40.0))
+    assert len(narrow.found) == len(wide.found) == recordings
+    assert narrow.evidence - wide.evidence == pytest.approx(np.log(2.0), abs=0.1)
