@@ -339,12 +339,15 @@ def test_run_takes_boxes_detections_and_videos(harbour: Simulation, tmp_path: Pa
     (crossing_boat,) = result.tracks["03"]
     assert START_S <= crossing_boat.time_utc_s[0] < crossing_boat.time_utc_s[-1] <= START_S + 4.0
     assert result.detected == ("03",)
-    assert not result.left_out
-    assert any("too little to leave any out" in note for note in result.notes)
-    assert result.single is not None
+    # Nothing was learned from 02, and without 01 there is nothing to learn from.
+    assert result.left_out == ("02",)
+    assert any("Recording 01 could not be left out" in note for note in result.notes)
+    assert result.single is None
     assert result.smoothed is not None
-    assert set(result.single.recordings) == {"01"}
-    assert set(result.smoothed.recordings) == {"01", "02"}
+    assert set(result.smoothed.recordings) == {"02"}
+    for report in (result.single_learned_from, result.smoothed_learned_from):
+        assert report is not None
+        assert set(report.recordings) == {"01"}
     assert "detecting in 03" in told
 
 

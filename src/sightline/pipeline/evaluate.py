@@ -229,6 +229,16 @@ def leave_one_out(
     Raises:
         FitError: Fewer than two recordings have pairs, or what is left is too little.
     """
+    names = recordings_with_pairs(scene)
+    return {name: fit(scene.without([name]), model, seed=seed, extra=extra) for name in names}
+
+
+def recordings_with_pairs(scene: Scene) -> list[str]:
+    """Names of the recordings that can be left out of a fit in turn: at least two.
+
+    Raises:
+        FitError: Fewer than two recordings have boxes and fixes at the same times.
+    """
     plane = scene.plane
     names = [
         recording.name
@@ -243,7 +253,7 @@ def leave_one_out(
             f"{scene.path}: leaving one recording out needs at least two recordings with boxes "
             f"and fixes at the same times; there {'is' if len(names) == 1 else 'are'} {len(names)}"
         )
-    return {name: fit(scene.without([name]), model, seed=seed, extra=extra) for name in names}
+    return names
 
 
 def compare(
