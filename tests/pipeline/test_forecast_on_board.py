@@ -52,7 +52,7 @@ class OnBoard:
 
 
 def logs(bow_rad: float) -> tuple[Fixes, Headings, Boxes]:
-    """Two minutes of a vessel with a receiver that is off for tens of seconds, and what it saw in the first."""
+    """Two minutes of a vessel whose receiver is off for a while, and what it saw in the first."""
     times = np.arange(0.0, 2 * UNTIL_S + 1.0)
     off = POSITION_SIGMA_M * np.random.default_rng(0).standard_normal((times.size, 2))
     for i in range(1, len(off)):
