@@ -206,16 +206,22 @@ def straight(n: int) -> np.ndarray:
 @pytest.mark.parametrize("until_then", [False, True])
 def test_the_velocity_of_a_platform_is_known_as_well_as_is_stated(until_then: bool) -> None:
     rows = np.arange(60, 235, 5)
-    distances, errors = [], []
+    distances, errors, courses = [], [], []
     for seed in range(40):
         way, velocity = accelerated_way(seed, 0.003)
         pose = noisy_way(seed, way).pose(rows.astype(float), PLANE, until_then=until_then)
         distances.append(squared_errors(pose, way[rows], velocity[rows]))
         errors.append(pose.velocity_mps - velocity[rows])
+        wrong = pose.heading_rad - np.arctan2(*velocity[rows].T)
+        courses.append(((wrong + np.pi) % (2.0 * np.pi) - np.pi) / pose.heading_sigma_rad)
     # Two numbers along each of two axes.
     assert np.mean(distances) == pytest.approx(4.0, rel=0.35)
     # Two fixes a second apart tell a velocity to half a metre a second.
     assert np.std(errors) < 0.25
+    if until_then:
+        # The course that stands in for a heading is that of the velocity.
+        assert np.sqrt(np.nanmean(np.square(courses))) == pytest.approx(1.0, rel=0.2)
+        assert np.isfinite(courses).mean() > 0.9
 
 
 def test_the_first_fixes_tell_no_more_than_their_errors_allow() -> None:
@@ -255,6 +261,9 @@ def test_until_then_nothing_later_counts() -> None:
     one, other = (p.pose(times, PLANE, until_then=True) for p in (whole, part))
     np.testing.assert_allclose(one.en_m, other.en_m, atol=1e-9)
     np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-12)
+    # Without headings the course stands in for them.
+    np.testing.assert_array_equal(one.heading_rad, other.heading_rad)
+    np.testing.assert_array_equal(one.heading_sigma_rad, other.heading_sigma_rad)
     smoothed = whole.pose(times, PLANE)
     assert np.abs(smoothed.en_m - one.en_m).max() > 0.1
 

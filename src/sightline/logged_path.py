@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,8 +106,3 @@ class LoggedPath:
         velocity[rows] = chord + slope / span
         sigma[rows] = (_UNTOLD_MPS2 * span**2 * u * (1.0 - u))[:, 0]
         return Whereabouts(place, velocity, sigma)
-
-
-def paths_of(fixes: Mapping[str, Fixes], plane: LocalPlane) -> tuple[LoggedPath, ...]:
-    """The paths of logs by name."""
-    return tuple(LoggedPath.of(log, plane) for log in fixes.values())

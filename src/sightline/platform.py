@@ -106,19 +106,24 @@ class Platform:
         Args:
             time_utc_s: (N,) POSIX seconds.
             plane: Of the places.
-            until_then: Whether place and velocity are by the fixes until each time alone.
+            until_then: Whether place and velocity, and a course that stands in for the heading, are
+                by the fixes until each time alone. How hard the platform accelerates is told by
+                its whole log all the same.
         """
         times = np.asarray(time_utc_s, dtype=np.float64)
         way = _way(self, plane)
         told = way.told(times)
-        heading, sigma = (
-            self._course(times, plane) if self.headings is None else self._logged(times)
-        )
         state = np.full((times.size, 2, 2), np.nan)
         covariance = np.full((times.size, 2, 2), np.nan)
         if told.any():
             at = way.until if until_then else way.at
             state[told], covariance[told] = at(times[told])
+        if self.headings is not None:
+            heading, sigma = self._logged(times)
+        elif until_then:
+            heading, sigma = _course_of(state[:, 1], np.sqrt(covariance[:, 1, 1]))
+        else:
+            heading, sigma = self._course(times, plane)
         return Pose(
             en_m=state[:, 0],
             velocity_mps=state[:, 1],
@@ -157,6 +162,14 @@ class Platform:
             sigma = np.sqrt(2.0) * POSITION_SIGMA_M / moved
         course = np.arctan2(moved_east, moved_north)
         return np.where(told, course, np.nan), np.where(told, sigma, np.nan)
+
+
+def _course_of(velocity_mps: FloatArray, sigma_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The course of velocities (N, 2) that are so unsure (N,), NaN where it says too little."""
+    speed = np.hypot(*velocity_mps.T)
+    told = speed > _LEAST_COURSE_SIGMAS * sigma_mps
+    sigma = np.divide(sigma_mps, speed, out=np.full(speed.shape, np.nan), where=told)
+    return np.where(told, np.arctan2(*velocity_mps.T), np.nan), sigma
 
 
 @dataclass(frozen=True, eq=False)

@@ -242,7 +242,7 @@ def test_run_writes_tracks_model_report_and_map(
     check_report(result, {"01", "02", "03"})
     check_report(result["single"], {"01", "02", "03"})
     check_report(content(out / "report.json"), {"01", "02", "03"})
-    assert result["left_out"] is True
+    assert result["left_out"] == ["01", "02", "03"]
     assert set(result["tracks_per_recording"]) == {"01", "02", "03", "video alone"}
     assert sorted(path.name for path in out.iterdir()) == [
         "map.png",
@@ -294,7 +294,7 @@ def test_run_with_one_recording_says_that_nothing_was_left_out(
     result = tmp_path / "r.json"
     done = sightline("run", scene, "-o", tmp_path / "out", "--model", "qkr", "--json", result)
     assert (done.status, done.err) == (0, "")
-    assert content(result)["left_out"] is False
+    assert content(result)["left_out"] == []
     assert "The figures are of the recordings that the model learned from" in done.out
 
 

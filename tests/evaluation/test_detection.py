@@ -103,6 +103,42 @@ def test_boxes_in_frames_without_a_boat_are_false() -> None:
     assert report.map_50 == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("allowed", [0.0, 0.5, 1.0, 1.7, 3.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_recall_at_so_many_false_boxes_a_frame_is_that_of_trying_each_threshold(
+    allowed: float, seed: int
+) -> None:
+    """Frames with none to three drawn boxes, and up to five false ones, some equally sure."""
+    rng = np.random.default_rng(seed)
+    frames, sure, right = [], [], []
+    for _ in range(12):
+        # A grid of places so far apart that no box of one overlaps that of another.
+        places = rng.permutation(20)
+        cells = [[60.0 * i, 100.0, 60.0 * i + 40.0, 120.0] for i in places]
+        drawn = cells[: rng.integers(0, 4)]
+        hits = [box for box in drawn if rng.random() < 0.8]
+        false = cells[10 : 10 + rng.integers(0, 6)]
+        scores = np.round(rng.random(len(hits) + len(false)), 1).tolist()
+        frames.append(frame(drawn, list(zip(hits + false, scores, strict=True))))
+        sure += scores
+        right += [True] * len(hits) + [False] * len(false)
+    confidence, hit = np.array(sure), np.array(right)
+    n_drawn = sum(len(one.truth_xyxy_px) for one in frames)
+    assert n_drawn != len(frames)
+    best, least = 0.0, math.nan
+    for threshold in sorted(set(sure), reverse=True):
+        kept = confidence >= threshold
+        if (kept & ~hit).sum() <= allowed * len(frames):
+            best, least = float((kept & hit).sum() / n_drawn), threshold
+    report = score_detections(frames, allowed_per_frame=allowed, threshold=0.5)
+    assert report.recall_at_allowed == pytest.approx(best)
+    assert report.threshold_at_allowed == pytest.approx(least, nan_ok=True)
+    kept = confidence >= 0.5
+    assert report.recall == pytest.approx((kept & hit).sum() / n_drawn)
+    assert report.precision == pytest.approx((kept & hit).sum() / kept.sum())
+    assert report.false_per_frame == pytest.approx((kept & ~hit).sum() / len(frames))
+
+
 def test_found_boxes_that_end_too_high_have_a_negative_foot() -> None:
     high = [A[0], A[1], A[2], A[3] - 3.0]
     assert score_detections([frame([A], [(high, 0.9)])]).foot_px == -3.0

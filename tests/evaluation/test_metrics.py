@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -321,6 +322,31 @@ def test_coverage_of_what_states_no_covariance_is_not_known() -> None:
     assert np.isnan(found.p95)
 
 
+def test_coverage_is_over_those_pairs_that_state_a_covariance() -> None:
+    """Every second pair states none; the others are counted one by one."""
+    pairs = gaussian_pairs(101, 0.5, 5)
+    covariance = pairs.covariance_m2.copy()
+    covariance[::2] = np.nan
+    log_sigma_m = np.linspace(0.5, 6.0, 101)
+    mixed = replace(pairs, covariance_m2=covariance, log_sigma_m=log_sigma_m)
+    inside = np.zeros(4, dtype=int)
+    for i in range(1, 101, 2):
+        off = np.array(
+            [pairs.true_east_m[i] - pairs.east_m[i], pairs.true_north_m[i] - pairs.north_m[i]]
+        )
+        for k, stated in enumerate(
+            (covariance[i], covariance[i] + log_sigma_m[i] ** 2 * np.eye(2))
+        ):
+            distance = off @ np.linalg.inv(stated) @ off
+            inside[2 * k :][:2] += distance <= chi2.ppf([0.5, 0.95], 2)
+    found = coverage(mixed)
+    assert found.n == 50
+    assert found.log_sigma_m == pytest.approx(np.sqrt(np.mean(log_sigma_m[1::2] ** 2)))
+    shares = (found.p50, found.p95, found.p50_with_log, found.p95_with_log)
+    np.testing.assert_allclose(shares, inside / 50)
+    assert len(set(inside.tolist())) == 4
+
+
 def test_a_stated_certainty_holds_only_where_it_is_right() -> None:
     pairs = make_pairs(
         START + np.arange(2.0),
@@ -382,6 +408,32 @@ def test_positions_are_paired_with_the_log_between_its_fixes() -> None:
     np.testing.assert_allclose(pairs.error_m, [1.0, 3.0], atol=1e-6)
     assert (pairs.asked, pairs.without_position, pairs.share) == (6, 1, 2 / 6)
     assert len(pair_positions(times, positions, log, largest_gap_s=16.0)) == 3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_log_does_not_know_is_not_missed(seed: int) -> None:
+    """Each time looked at by itself: is it between two near fixes, and is there a position?"""
+    rng = np.random.default_rng(seed)
+    stamps = START + np.cumsum(rng.uniform(1.0, 15.0, 12))
+    log = log_of(stamps, np.zeros(12), np.full(12, 100.0))
+    times = rng.uniform(stamps[0] - 20.0, stamps[-1] + 20.0, 200)
+    places = np.where(rng.random(200) < 0.5, np.nan, 1.0)
+    positions = Positions(
+        east_m=places,
+        north_m=places + 100.0,
+        covariance_m2=np.tile(np.eye(2), (200, 1, 1)),
+        extrapolated=np.zeros(200, bool),
+        plane=PLANE,
+    )
+    near = [
+        any(a <= time <= b and b - a <= 8.0 for a, b in itertools.pairwise(stamps))
+        for time in times
+    ]
+    pairs = pair_positions(times, positions, log)
+    assert pairs.asked == 200
+    assert len(pairs) == sum(near & np.isfinite(places))
+    assert pairs.without_position == sum(near & np.isnan(places))
+    assert 0 < pairs.without_position < np.isnan(places).sum()
 
 
 def test_a_track_is_paired_at_its_own_times() -> None:

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sightline.errors import InputError
-from sightline.formats import read_ais, read_fixes, write_fixes
+from sightline.formats import read_ais, read_fixes, read_headings, write_fixes
 from sightline.formats.ais import read_ais_feed
 from sightline.types import Fixes
 
@@ -127,6 +127,46 @@ def test_gga_takes_its_date_from_zda_over_midnight(tmp_path: Path) -> None:
     zda = sentence("GP", "ZDA", "235958.00", "30", "09", "2020", "00", "00")
     path.write_text(gga("235957.00") + zda + gga("235959.00") + gga("000001.00"))
     np.testing.assert_allclose(read_fixes(path).time_utc_s - NOON_S, [43197.0, 43199.0, 43201.0])
+
+
+def hdt(heading: str) -> str:
+    return sentence("HE", "HDT", heading, "T")
+
+
+def test_spoilt_headings_are_skipped_and_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "log.nmea"
+    lines = [
+        *(rmc("120000.00"), hdt("10.0")),
+        *(rmc("120001.00"), hdt("11.0").replace("11.0", "17.0")),
+        *(rmc("120002.00"), hdt("north")),
+        # A compass that does not know says nothing; that is not spoilt.
+        *(rmc("120003.00"), hdt("")),
+        *(rmc("120004.00"), hdt("370.0")),
+        *(rmc("120005.00").replace("3242", "9942"), hdt("12.0")),
+    ]
+    path.write_text("".join(lines))
+    with caplog.at_level(logging.WARNING):
+        found = read_headings(path)
+    assert found is not None
+    np.testing.assert_allclose(found.time_utc_s - NOON_S, [0.0, 4.0])
+    np.testing.assert_allclose(found.heading_deg, [10.0, 12.0])
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{path}: 2 of 6 headings are spoilt and left out"
+    ]
+
+
+def test_headings_that_are_whole_are_read_without_a_word(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "log.nmea"
+    path.write_text(rmc("120000.00") + hdt("10.0") + rmc("120001.00") + hdt("370.0"))
+    with caplog.at_level(logging.WARNING):
+        found = read_headings(path)
+    assert found is not None
+    np.testing.assert_allclose(found.heading_deg, [10.0, 10.0])
+    assert not caplog.records
 
 
 def test_gga_is_used_where_it_is_denser_than_rmc(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from sightline import Georeferencer, Scene, evaluate, fit, iter_tracks, run, track
+from sightline.camera.state import ObservedBoxes
 from sightline.errors import InputError
 from sightline.formats import write_boxes
 from sightline.geodesy import LocalPlane
@@ -17,7 +18,7 @@ from sightline.pipeline import sources
 from sightline.pipeline.evaluate import leave_one_out, place_boxes
 from sightline.pipeline.track import TrackSettings, _OpenTracks
 from sightline.simulation.simulate import Simulation, simulate
-from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, Positions, Track
+from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, LocatedBoxes, Positions, Track
 from sightline.video import write_video
 
 START_S = 1_700_000_000.0
@@ -34,24 +35,19 @@ class FromAbove:
     horizon_px: None = None
     moving: bool = False
 
-    def level(self, boxes: Boxes, _horizons: None) -> Boxes:
-        return boxes
-
     def check_water(self, given: bool) -> None:
         assert not given
 
-    def locate(
-        self, boxes_xyxy_px: ArrayLike, _source: ArrayLike, _water_level_m: None
-    ) -> Positions:
-        boxes = np.asarray(boxes_xyxy_px, dtype=float)
-        n = len(boxes)
-        return Positions(
-            east_m=0.05 * (boxes[:, 0] + boxes[:, 2]),
-            north_m=0.1 * (SIZE_PX[1] - boxes[:, 3]),
+    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+        xyxy, n = boxes.xyxy_px, len(boxes)
+        positions = Positions(
+            east_m=0.05 * (xyxy[:, 0] + xyxy[:, 2]),
+            north_m=0.1 * (SIZE_PX[1] - xyxy[:, 3]),
             covariance_m2=np.tile(0.04 * np.eye(2), (n, 1, 1)),
             extrapolated=np.zeros(n, dtype=bool),
             plane=self.plane,
         )
+        return LocatedBoxes.at(boxes, positions)
 
 
 QUICK = TrackSettings(trajectory="paper")
@@ -361,12 +357,15 @@ def test_run_takes_boxes_detections_and_videos(harbour: Simulation, tmp_path: Pa
     (crossing_boat,) = result.tracks["03"]
     assert START_S <= crossing_boat.time_utc_s[0] < crossing_boat.time_utc_s[-1] <= START_S + 4.0
     assert result.detected == ("03",)
-    assert not result.left_out
-    assert any("too little to leave any out" in note for note in result.notes)
-    assert result.single is not None
+    # Nothing was learned from 02, and without 01 there is nothing to learn from.
+    assert result.left_out == ("02",)
+    assert any("Recording 01 could not be left out" in note for note in result.notes)
+    assert result.single is None
     assert result.smoothed is not None
-    assert set(result.single.recordings) == {"01"}
-    assert set(result.smoothed.recordings) == {"01", "02"}
+    assert set(result.smoothed.recordings) == {"02"}
+    for report in (result.single_learned_from, result.smoothed_learned_from):
+        assert report is not None
+        assert set(report.recordings) == {"01"}
     assert "detecting in 03" in told
 
 

@@ -69,10 +69,10 @@ def run(
 
 def tell_result(result: RunResult, paths: dict[str, Path]) -> None:
     """Say what came out, and where it lies."""
-    if result.single is not None:
-        say(describe(result.single, "single boxes"))
-    if result.smoothed is not None:
-        say(describe(result.smoothed, "smoothed tracks"))
+    from sightline.reporting.run_report import run_reports
+
+    for what, report in run_reports(result).items():
+        say(describe(report, what))
     for note in (*result.notes, *result.model.report.statements):
         say(f"note: {note}")
     for what, path in paths.items():
@@ -80,10 +80,18 @@ def tell_result(result: RunResult, paths: dict[str, Path]) -> None:
 
 
 def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, Any]:
-    """The result as JSON has it: the report of the tracks, that of single boxes, and the files."""
+    """The result as JSON has it: the report of the tracks, that of single boxes, and the files.
+
+    Both are of the recordings of ``left_out``, and those of others stand apart; where nothing was
+    left out, they are of recordings that the model learned from.
+    """
     out: dict[str, Any] = result.smoothed.to_dict() if result.smoothed is not None else {}
     out["single"] = result.single.to_dict() if result.single is not None else None
-    out["left_out"] = result.left_out
+    out["left_out"] = list(result.left_out)
+    apart = {"smoothed": result.smoothed_learned_from, "single": result.single_learned_from}
+    out["learned_from"] = {
+        what: None if report is None else report.to_dict() for what, report in apart.items()
+    }
     out["files"] = {what: str(path) for what, path in paths.items()}
     out["tracks_per_recording"] = {name: len(tracks) for name, tracks in result.tracks.items()}
     out["notes"] = [*result.notes, *result.model.report.statements]

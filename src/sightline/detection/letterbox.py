@@ -94,11 +94,6 @@ class Letterbox:
         canvas[self.top_px : bottom, self.left_px : right] = image
         return canvas
 
-    def to_canvas(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes of the picture on the canvas, (N, 4) px."""
-        scaled: FloatArray = xyxy_px * np.tile(self.scale, 2)
-        return scaled + np.tile([self.left_px, self.top_px], 2).astype(np.float64)
-
     def to_picture(self, xyxy_px: FloatArray) -> FloatArray:
         """Boxes of the canvas in the picture, (N, 4) px; those in the padding lie outside."""
         moved: FloatArray = xyxy_px - np.tile([self.left_px, self.top_px], 2).astype(np.float64)

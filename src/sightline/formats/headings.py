@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 
@@ -12,7 +13,8 @@ from sightline.formats import _files
 from sightline.formats.nmea import dated
 from sightline.types import Headings
 
-_SENTENCE = re.compile(r"\$[A-Z]{2}(?:RMC|ZDA|HDT|THS),[^$!]*")
+_logger = logging.getLogger(__name__)
+_SENTENCE = re.compile(r"(\$[A-Z]{2}(RMC|ZDA|HDT|THS),[^$!]*)")
 
 
 def read_headings(path: str | os.PathLike[str]) -> Headings | None:
@@ -20,7 +22,9 @@ def read_headings(path: str | os.PathLike[str]) -> Headings | None:
 
     A CSV table has them in the column ``heading_deg``; empty cells are left out. In NMEA 0183 they
     are HDT and THS sentences, which have no time: each is taken to be of the RMC or ZDA before it.
-    Magnetic headings (HDG, HDM) are left out, since nothing here knows the deviation.
+    Magnetic headings (HDG, HDM) are left out, since nothing here knows the deviation. Those with a
+    wrong or no checksum, or that are no number, are skipped, and a warning is logged that says how
+    many.
 
     Args:
         path: A log that `sightline.formats.read_fixes` reads.
@@ -38,17 +42,23 @@ def read_headings(path: str | os.PathLike[str]) -> Headings | None:
     times_s: list[float] = []
     headings: list[float] = []
     now_s = float("nan")
+    seen = spoilt = 0
     for _, text in _files.log_lines(path):
-        for written in _SENTENCE.findall(text):
+        for written, kind in _SENTENCE.findall(text):
+            # The reader of the fixes counts those that tell a time.
+            tells_heading = kind in ("HDT", "THS")
+            seen += tells_heading
             try:
                 sentence = pynmea2.parse(written.strip(), check=True)
-                if sentence.sentence_type in ("RMC", "ZDA"):
+                if not tells_heading:
                     now_s = dated(sentence)
-                else:
+                elif sentence.data[0]:
                     headings.append(float(sentence.data[0]))
                     times_s.append(now_s)
             except (pynmea2.ParseError, ValueError, TypeError, AttributeError, IndexError):
-                continue
+                spoilt += tells_heading
+    if spoilt:
+        _logger.warning("%s: %d of %d headings are spoilt and left out", path, spoilt, seen)
     return _headings(np.array(times_s), np.array(headings))
 
 

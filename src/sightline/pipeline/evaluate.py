@@ -13,7 +13,7 @@ from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.forecast import forecast_errors
 from sightline.evaluation.metrics import ScoredPairs, pair_positions, pair_track
 from sightline.evaluation.report import Report, evaluate_tracks, summarise
-from sightline.georeferencing.fit import FitSettings
+from sightline.georeferencing.fit import FitInputs, FitSettings
 from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, MODELS, ModelType, model_type
@@ -223,6 +223,23 @@ def leave_one_out(
     """
     kind = model_type(model)
     inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
+    settings = FitSettings(model=kind, seed=seed)
+    return {
+        name: fit_inputs(inputs.without(name), settings)
+        for name in recordings_with_pairs(scene, inputs)
+    }
+
+
+def recordings_with_pairs(scene: Scene, inputs: FitInputs) -> list[str]:
+    """Names of the recordings that can be left out of a fit in turn: at least two.
+
+    Args:
+        scene: In whose order they come.
+        inputs: Collected from the scene.
+
+    Raises:
+        FitError: Fewer than two recordings have boxes and fixes at the same times.
+    """
     held = set(inputs.correspondences.recording.tolist())
     names = [recording.name for recording in scene.recordings if recording.name in held]
     if len(names) < 2:
@@ -230,8 +247,7 @@ def leave_one_out(
             f"{scene.path}: leaving one recording out needs at least two recordings with boxes "
             f"and fixes at the same times; there {'is' if len(names) == 1 else 'are'} {len(names)}"
         )
-    settings = FitSettings(model=kind, seed=seed)
-    return {name: fit_inputs(inputs.without(name), settings) for name in names}
+    return names
 
 
 def compare(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,16 +11,20 @@ from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import FitError
 from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
+from sightline.georeferencing.fit import FitSettings
+from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.georeferencing.models import DEFAULT_MODEL, ModelType
+from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
+from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.overlap import iou
 from sightline.pipeline.camera_state import camera_turns, recording_history
-from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score
+from sightline.pipeline.evaluate import Placed, place_boxes, recordings_with_pairs
 from sightline.pipeline.fit_unlabelled import fit_scene
 from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
+from sightline.scene.correspondences import collect
 from sightline.scene.detections import SceneDetections
 from sightline.tracks import Tracks
 from sightline.trajectory import method
@@ -35,13 +39,18 @@ class RunResult:
         scene: The scene.
         model: Fitted to all of it.
         tracks: Of each recording.
-        smoothed: The target's tracks against the log, each made by a model that never saw its
-            recording wherever ``left_out`` says so; None where there was no log to compare with.
-        single: Single boxes likewise; None where no recording has boxes and a log.
-        left_out: Whether each recording was scored with a model that never saw it.
+        smoothed: The target's tracks against the log, in the recordings of ``left_out``; where
+            there is none, in those that ``model`` learned from. None where there was no log to
+            compare with.
+        single: Single boxes likewise; None where no such recording has boxes and a log.
+        left_out: Names of the recordings that were scored with a model that never saw them. Where
+            there is none, all figures are of recordings that the model learned from.
         detected: Names of the recordings whose boxes a detector found.
-        placed: The boxes that were scored.
+        placed: The boxes that were scored, each by the model that scored them.
         notes: Sentences for the user.
+        smoothed_learned_from: Where some recordings were left out: the tracks in those that could
+            not be, by ``model``, which learned from them; None where there is none.
+        single_learned_from: Single boxes likewise.
     """
 
     scene: Scene
@@ -49,10 +58,12 @@ class RunResult:
     tracks: Mapping[str, Tracks]
     smoothed: Report | None
     single: Report | None
-    left_out: bool
+    left_out: tuple[str, ...]
     detected: tuple[str, ...]
     placed: Sequence[Placed]
     notes: tuple[str, ...] = field(default=())
+    smoothed_learned_from: Report | None = None
+    single_learned_from: Report | None = None
 
 
 def run(
@@ -85,21 +96,67 @@ def run(
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
     tell("fitting", float("nan"))
     fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
-    notes: list[str] = []
-    models: dict[str, Georeferencer] = {}
-    try:
-        if _drawn(scene):
-            models = leave_one_out(scene, model, seed=seed, extra=extra)
-        else:
-            models = _leave_one_out_undrawn(scene, model, seed, seen, tell)
-    except FitError:
-        notes.append(
-            "The figures are of the recordings that the model learned from: there is too little "
-            "to leave any out. They are better than what a new recording would give."
-        )
+    models, failed = _leave_each_out(scene, model, seed, extra, seen, tell)
+    tracked = _track_each(scene, fitted, models, seen, settings, tell)
+    placed: list[Placed] = []
+    if _drawn(scene):
+        placed = place_boxes(scene, lambda name: models.get(name, fitted))
+    single = {one.recording: pairs for one in placed if len(pairs := one.single())}
+    scored = [r.name for r in scene.recordings if r.name in tracked.scored or r.name in single]
+    # With drawn boxes nothing is learned from recordings that have none.
+    learned_from = fitted.report.recordings if _drawn(scene) else scored
+    left_out = tuple(name for name in scored if name in models or name not in learned_from)
+    rest = [name for name in scored if name not in left_out]
+    smoothed = _report_tracks(tracked.scored, left_out)
+    single_boxes = _report_boxes(single, left_out)
+    smoothed_rest, single_rest = _report_tracks(tracked.scored, rest), _report_boxes(single, rest)
+    notes = tracked.notes
+    if rest:
+        notes = (_in_sample(rest if left_out else [], failed), *notes)
+    return RunResult(
+        scene=scene,
+        model=fitted,
+        tracks=tracked.tracks,
+        smoothed=smoothed if left_out else smoothed_rest,
+        single=single_boxes if left_out else single_rest,
+        left_out=left_out,
+        detected=tracked.detected,
+        placed=placed,
+        notes=notes,
+        smoothed_learned_from=smoothed_rest if left_out else None,
+        single_learned_from=single_rest if left_out else None,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracked:
+    """What is tracked in each recording.
+
+    Attributes:
+        tracks: By ``RunResult.model``.
+        scored: By the model that never saw the recording, where there is one.
+        detected: See `RunResult`.
+        notes: See `RunResult`.
+    """
+
+    tracks: Mapping[str, Tracks]
+    scored: Mapping[str, tuple[ScoredPairs, TracksUsed]]
+    detected: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def _track_each(
+    scene: Scene,
+    fitted: Georeferencer,
+    models: Mapping[str, Georeferencer],
+    seen: SceneDetections,
+    settings: TrackSettings,
+    tell: Progress,
+) -> _Tracked:
     tracks: dict[str, Tracks] = {}
-    detected: list[str] = []
     scored: dict[str, tuple[ScoredPairs, TracksUsed]] = {}
+    detected: list[str] = []
+    notes: list[str] = []
     for recording in scene.recordings:
         tell(f"tracking {recording.name}", float("nan"))
         held = models.get(recording.name, fitted)
@@ -119,26 +176,44 @@ def run(
         pairs = _against_log(recording, judged, held.log_sigma_m)
         if pairs is not None:
             scored[recording.name] = pairs
-    placed: list[Placed] = []
-    if _drawn(scene):
-        placed = place_boxes(scene, lambda name: models.get(name, fitted))
-    single = score(placed) if any(len(one.single()) for one in placed) else None
-    smoothed = None
-    if scored:
-        smoothed = summarise(
-            {name: pairs for name, (pairs, _) in scored.items()},
-            tracks={name: used for name, (_, used) in scored.items()},
+    return _Tracked(tracks, scored, tuple(detected), tuple(notes))
+
+
+def _report_tracks(
+    scored: Mapping[str, tuple[ScoredPairs, TracksUsed]], names: Collection[str]
+) -> Report | None:
+    chosen = {name: one for name, one in scored.items() if name in names}
+    if not chosen:
+        return None
+    return summarise(
+        {name: pairs for name, (pairs, _) in chosen.items()},
+        tracks={name: used for name, (_, used) in chosen.items()},
+    )
+
+
+def _report_boxes(single: Mapping[str, ScoredPairs], names: Collection[str]) -> Report | None:
+    chosen = {name: pairs for name, pairs in single.items() if name in names}
+    return summarise(chosen) if chosen else None
+
+
+def _in_sample(apart: Sequence[str], failed: FitError | None) -> str:
+    """Says of which recordings the figures are those of a model that learned from them.
+
+    Args:
+        apart: Their names; none: all.
+        failed: Why the first of them could not be left out.
+    """
+    if not apart:
+        return (
+            "The figures are of the recordings that the model learned from: there is too little "
+            "to leave any out. They are better than what a new recording would give."
         )
-    return RunResult(
-        scene=scene,
-        model=fitted,
-        tracks=tracks,
-        smoothed=smoothed,
-        single=single,
-        left_out=bool(models),
-        detected=tuple(detected),
-        placed=placed,
-        notes=tuple(notes),
+    one = len(apart) == 1
+    because = "" if failed is None else f" ({failed})"
+    return (
+        f"Recording{'' if one else 's'} {', '.join(apart)} could not be left out{because}: "
+        f"{'its' if one else 'their'} figures stand apart, of the model that learned from "
+        f"{'it' if one else 'them'}. They are better than what a new recording would give."
     )
 
 
@@ -147,26 +222,37 @@ def _drawn(scene: Scene) -> bool:
     return any(r.boxes_path and r.fixes_path for r in scene.recordings)
 
 
-def _leave_one_out_undrawn(
-    scene: Scene, model: str | ModelType, seed: int, seen: SceneDetections, tell: Progress
-) -> dict[str, Georeferencer]:
-    """For each recording with a log a model that never saw it, without drawn boxes.
-
-    Raises:
-        FitError: Nothing can be learned without any of them.
-    """
+def _leave_each_out(
+    scene: Scene,
+    model: str | ModelType,
+    seed: int,
+    extra: Mapping[str, Boxes],
+    seen: SceneDetections,
+    tell: Progress,
+) -> tuple[dict[str, Georeferencer], FitError | None]:
+    """For each recording that teaches a model that never saw it, and why the first has none."""
+    drawn = _drawn(scene)
     models: dict[str, Georeferencer] = {}
     failed: FitError | None = None
-    logged = [recording.name for recording in scene.recordings if recording.fixes_path is not None]
-    for i, name in enumerate(logged):
-        tell(f"fitting without {name}", i / len(logged))
+    names = [r.name for r in scene.recordings if r.fixes_path is not None]
+    if drawn:
+        kind = model_type(model)
+        inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
+        settings = FitSettings(model=kind, seed=seed)
         try:
-            models[name] = fit_scene(scene.without([name]), model, seed=seed, seen=seen)
+            names = recordings_with_pairs(scene, inputs)
         except FitError as error:
-            failed = error
-    if not models and failed is not None:
-        raise failed
-    return models
+            return models, error
+    for i, name in enumerate(names):
+        tell(f"fitting without {name}", i / len(names))
+        try:
+            if drawn:
+                models[name] = fit_inputs(inputs.without(name), settings)
+            else:
+                models[name] = fit_scene(scene.without([name]), model, seed=seed, seen=seen)
+        except FitError as error:
+            failed = failed or error
+    return models, failed
 
 
 def _unseen(recording: Recording) -> bool:

@@ -36,6 +36,10 @@ from sightline.reporting.plots import (
 )
 from sightline.types import NO_FRAME
 
+LEFT_OUT = "each recording left out"
+LEARNED_FROM = "recordings learned from"
+_SINGLE = "single boxes"
+
 _WORDS = {
     "height_m": "height above the water or road",
     "pitch_deg": "pitch, down is positive",
@@ -54,12 +58,7 @@ _WORDS = {
 def run_page(result: RunResult) -> ReportPage:
     """The page of a run."""
     scene, model = result.scene, result.model
-    how = "each recording left out" if result.left_out else "recordings learned from"
-    reports: dict[str, Report] = {}
-    if result.smoothed is not None:
-        reports[f"smoothed tracks, {how}"] = result.smoothed
-    if result.single is not None:
-        reports[f"single boxes, {how}"] = result.single
+    reports = run_reports(result)
     fixes = {r.name: r.fixes() for r in scene.recordings if r.fixes_path is not None}
     positions = {one.recording: one.single() for one in result.placed}
     positions = {name: pairs for name, pairs in positions.items() if len(pairs)}
@@ -83,9 +82,21 @@ def run_page(result: RunResult) -> ReportPage:
         outliers=_outlier_rows(model),
         statements=model.report.statements,
         warnings=warnings,
-        figures=_figures(positions),
+        figures=_figures(positions, reports),
         made_utc_s=time.time(),
     )
+
+
+def run_reports(result: RunResult) -> dict[str, Report]:
+    """The reports of a run by what they score, and whether the model had learned from it."""
+    how = LEFT_OUT if result.left_out else LEARNED_FROM
+    reports = (
+        (f"smoothed tracks, {how}", result.smoothed),
+        (f"{_SINGLE}, {how}", result.single),
+        (f"smoothed tracks, {LEARNED_FROM}", result.smoothed_learned_from),
+        (f"{_SINGLE}, {LEARNED_FROM}", result.single_learned_from),
+    )
+    return {name: report for name, report in reports if report is not None}
 
 
 def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
@@ -191,27 +202,33 @@ def single_pairs(placed: Sequence[Placed]) -> ScoredPairs:
     return ScoredPairs.concatenate([one.single() for one in placed])
 
 
-def _figures(positions: Mapping[str, ScoredPairs]) -> list[PageFigure]:
-    if not positions:
+def _figures(
+    positions: Mapping[str, ScoredPairs], reports: Mapping[str, Report]
+) -> list[PageFigure]:
+    """Figures of single boxes; of those in recordings left out, where there are any."""
+    which = next((name for name in reports if name.startswith(_SINGLE)), None)
+    if which is None:
         return []
-    everything = {"single boxes": ScoredPairs.concatenate(positions.values())}
+    positions = {name: positions[name] for name in reports[which].recordings}
+    everything = {_SINGLE: ScoredPairs.concatenate(positions.values())}
     return [
         PageFigure(
             "Error against range",
             error_against_range(everything),
-            "Errors of single boxes against the distance from the camera.",
+            f"Errors of {which}, against the distance from the camera.",
             "Errors grow with the square of the range: a pixel at the horizon is a long way.",
         ),
         PageFigure(
             "Do the ellipses hold what they promise?",
             calibration(everything),
-            "Share of true positions inside the stated ellipses, against the stated probability.",
+            f"Share of true positions inside the stated ellipses, of {which}, against the stated "
+            "probability.",
             "On the diagonal the model is as unsure as it ought to be; below it is too sure.",
         ),
         PageFigure(
             "Error over time",
             error_over_time(positions),
-            "Errors of single boxes over time, one panel a recording.",
+            f"Errors of {which}, over time, one panel a recording.",
         ),
     ]
 

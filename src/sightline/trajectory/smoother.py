@@ -92,7 +92,6 @@ _BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
 _TOTAL_PRIOR_SD = 0.4
 # Of the acceleration, the time constant, all noise along and across, the lasting over the white.
 _BOUNDS = [(1e-4, 30.0), (0.1, 5.0), (0.03, 20.0), (0.03, 20.0), (1e-3, 100.0), (1e-3, 100.0)]
-_ENOUGH = 3e-3
 _CURVATURE = np.array([0.3, 0.3, 2.0, 1.0, 0.03, 0.03])
 """Of the log likelihood by the logarithms of these, for each node; about."""
 _ENOUGH = 3e-3

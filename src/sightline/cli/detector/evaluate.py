@@ -90,11 +90,11 @@ def evaluate(
     json: JsonOption = None,
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
-    # Before a detector has looked at all frames.
-    _optional.module("pycocotools", "score")
     keep_apart([json], [scene, labels, model])
     check_scene_is_there(scene)
     check_model_is_there(model)
+    # Before a detector has looked at all frames.
+    _optional.module("pycocotools", "score")
     from sightline.detection import OnnxDetector
     from sightline.evaluation.detection import (
         pooled,
