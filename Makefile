@@ -13,7 +13,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast test-train check format bench docs constraints clean
+.PHONY: help demo test test-fast test-train check format bench docs gallery constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -53,6 +53,12 @@ bench: $(BENCH)  ## measure, beside the peers, what the README quotes
 docs: $(DEV)  ## build the documentation into site/; any broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "The documentation lies in site/index.html"
+
+gallery: $(BASE)  ## draw the pictures of the documentation's gallery anew
+	@for script in examples/gallery/*.py; do \
+		echo "$$script"; \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python "$$script" docs/images/gallery || exit 1; \
+	done
 
 constraints: $(BASE)  ## renew constraints.txt with the newest versions that fit together
 	$(BIN)/python tools/renew_constraints.py
