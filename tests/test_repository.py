@@ -113,6 +113,16 @@ def test_what_make_is_said_to_do_it_can_do() -> None:
     assert said <= known, f"not in the Makefile: {sorted(said - known)}"
 
 
+def test_the_changelog_sends_to_modules_that_are_there() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    table = text.split("Modules that have moved:")[1].split("## 0.1.0")[0]
+    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `sightline.")]
+    assert len(rows) > 30
+    for _, new in rows:
+        for module in re.findall(r"`(sightline[\w.]+)`", new):
+            assert importlib.util.find_spec(module) is not None, module
+
+
 def test_layers_of_the_import_contract_are_all_modules() -> None:
     contract = _project()["tool"]["importlinter"]["contracts"][0]
     modules = {
