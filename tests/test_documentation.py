@@ -246,6 +246,7 @@ def test_log_written_for_the_documentation_is_read_back(track: Track, tmp_path: 
     assert report.ape.max == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("mkdocs") is None or importlib.util.find_spec("mkdocstrings") is None,
     reason="the dependency group docs is not installed",

@@ -30,6 +30,7 @@ def test_every_example_is_run_here() -> None:
         assert f'"{example.name}"' in here
 
 
+@pytest.mark.slow
 def test_fit_and_locate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -41,6 +42,7 @@ def test_fit_and_locate(
     assert sightline.load(tmp_path / "model.safetensors").model == "camera+gpr"
 
 
+@pytest.mark.slow
 def test_write_tracks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -63,6 +65,7 @@ def test_smooth_a_track(
     assert kinds == ["measured", "interpolated", "extrapolated"]
 
 
+@pytest.mark.slow
 def test_evaluate_a_track(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,6 +97,7 @@ def draw(
     return capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_range_rings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = draw("range_rings.py", tmp_path, capsys)
     found = re.search(r"height ([\d.]+) m \(true ([\d.]+) m\)\n([\d.]+) m RMSE", out)
@@ -102,6 +106,7 @@ def test_range_rings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert float(found[3]) < 4.0
 
 
+@pytest.mark.slow
 def test_whose_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = draw("whose_log.py", tmp_path, capsys, recordings=2)
     found = re.search(r"(\d+) tracks; the log is that of track \d+\n([\d.]+) m RMSE", out)
@@ -110,6 +115,7 @@ def test_whose_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert float(found[2]) < 6.0
 
 
+@pytest.mark.slow
 def test_trust(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = draw("trust.py", tmp_path, capsys, harbours=4)
     found = re.search(r"ellipses hold (\d+)% of the true", out)
@@ -117,6 +123,7 @@ def test_trust(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert int(found[1]) >= 85
 
 
+@pytest.mark.slow
 def test_gaps_and_forecast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = draw("gaps_and_forecast.py", tmp_path, capsys)
     rmse = {name: float(v) for name, v in re.findall(r"^(\w+): \d+ points, ([\d.]+) m", out, re.M)}

@@ -51,6 +51,7 @@ def test_the_synthetic_harbour(seed: int) -> None:
     np.testing.assert_allclose(found, truth, atol=5.0)
 
 
+@pytest.mark.slow
 def test_real_recordings_agree_with_the_camera_fitted_to_the_log(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     camera = fit(scene, "camera").camera

@@ -199,6 +199,7 @@ def off_m(scene: Scene, model: Georeferencer) -> float:
     return float(np.sqrt(np.mean(pairs.error_m[pairs.time_utc_s > KNOCKED_S + 2.0] ** 2)))
 
 
+@pytest.mark.slow
 def test_places_hold_after_a_turn_of_a_degree(world: World) -> None:
     still_m = off_m(world.still, world.model)
     assert off_m(world.scene, world.model) < 1.15 * still_m

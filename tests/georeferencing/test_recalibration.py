@@ -33,6 +33,7 @@ def model_of(harbour, pairs, tmp_path):
     return fit_pairs(pairs, scene, "camera", position_known=True, image_size_px=size)
 
 
+@pytest.mark.slow
 def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without(tmp_path):
     alarms = 0
     for seed in range(4):
