@@ -129,3 +129,13 @@ def test_gaps_and_forecast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     rmse = {name: float(v) for name, v in re.findall(r"^(\w+): \d+ points, ([\d.]+) m", out, re.M)}
     assert set(rmse) == {"seen", "hidden", "forecast"}
     assert max(rmse["seen"], rmse["hidden"]) < rmse["forecast"] < 60.0
+
+
+@pytest.mark.slow
+def test_road_traffic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = draw("road_traffic.py", tmp_path, capsys)
+    found = re.findall(r"^lane (\d): speed ([\d.]+) km/h RMSE, near end ([\d.]+) m off", out, re.M)
+    assert sorted(lane for lane, _, _ in found) == ["0", "1", "2", "2", "3"]
+    for _, speed_kmh, near_end_m in found:
+        assert float(speed_kmh) < 5.0
+        assert float(near_end_m) < 2.0
