@@ -36,6 +36,7 @@ def test_the_vessels_in_view_are_found_in_a_feed_and_no_others(seed):
         assert (one.taken & ~own).sum() < 0.1 * one.taken.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_the_log_of_a_vessel_that_was_never_in_view_is_refused(seed):
     traffic = Traffic.random(seed, vessels=12)

@@ -221,6 +221,7 @@ class Eye:
         """Nothing is remembered."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corrected", [True, False])
 def test_tracks_hold_as_pictures_come_in(world: World, corrected: bool) -> None:
     recording = world.scene["02"]
@@ -308,6 +309,7 @@ def test_a_knock_turns_the_simulated_camera_and_the_sky_stays(world: World) -> N
         simulate(world.scene.path.parent / "none", moving=True, knock=knock)
 
 
+@pytest.mark.slow
 def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     fitted = sightline.fit(scene, "camera")
@@ -323,6 +325,7 @@ def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_
     assert watched_m < plain_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["06", "07", "13", "17"])
 def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
     data_dir: Path, name: str
