@@ -1,7 +1,12 @@
 PYTHON ?= python3
 TEST_WORKERS ?= 2
 
+# Another Python has an environment of its own, such as .venv-python3.12, so that what was asked for
+# is what runs.
 VENV := .venv
+ifneq ($(PYTHON),python3)
+VENV := .venv-$(subst /,-,$(PYTHON:/%=%))
+endif
 BIN := $(VENV)/bin
 BASE := $(VENV)/.base
 DEV := $(VENV)/.dev
@@ -13,11 +18,11 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast test-train check licences format bench docs constraints clean
+.PHONY: help demo test test-fast test-train check licences format bench docs gallery constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
-	@echo "Another Python: make PYTHON=python3.12 ..."
+	@echo "Another Python, in an environment of its own: make test PYTHON=python3.12"
 
 demo: $(BASE)  ## simulate a harbour, run the whole pipeline on it, say where the results lie
 	$(BIN)/sightline demo
@@ -26,9 +31,9 @@ test: $(DEV)  ## run all tests but those of training
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 		$(BIN)/python -m pytest -n $(TEST_WORKERS) --ignore tests/training
 
-test-fast: $(DEV)  ## the same, those that failed last time first, up to the first failure
+test-fast: $(DEV)  ## the same without the slow ones, those that failed last time first
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-		$(BIN)/python -m pytest -n $(TEST_WORKERS) --failed-first --maxfail 1 --ignore tests/training
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) -m "not slow" --failed-first --ignore tests/training
 
 test-train: $(TRAIN)  ## install what trains detectors, train each for some steps on the CPU
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
@@ -57,12 +62,18 @@ docs: $(DEV)  ## build the documentation into site/; any broken link is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 	@echo "The documentation lies in site/index.html"
 
+gallery: $(BASE)  ## draw the pictures of the documentation's gallery anew
+	@for script in examples/gallery/*.py; do \
+		echo "$$script"; \
+		OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python "$$script" docs/images/gallery || exit 1; \
+	done
+
 constraints: $(BASE)  ## renew constraints.txt with the newest versions that fit together
 	$(BIN)/python tools/renew_constraints.py
 	@echo "Now: make check test, then commit constraints.txt"
 
-clean:  ## remove all that was made, the environment too
-	rm -rf $(VENV) build dist site sightline-demo example-results benchmarks/results
+clean:  ## remove all that was made, the environments too
+	rm -rf .venv .venv-* build dist site sightline-demo example-results benchmarks/results
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests tools examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 

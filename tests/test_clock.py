@@ -72,6 +72,7 @@ def test_a_timer_that_slips_reveals_what_was_cut_off() -> None:
     assert np.median(clock.sigma_s(np.arange(times.size))) < 0.15
 
 
+@pytest.mark.slow
 def test_times_of_a_timed_clock_are_as_uncertain_as_stated() -> None:
     """Over many recordings: errors bounded by the resolution, and sigma is their size."""
     rng = np.random.default_rng(3)

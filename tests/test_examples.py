@@ -4,12 +4,16 @@ import re
 import runpy
 from pathlib import Path
 
+import cv2
 import pandas as pd
 import pytest
 
 import sightline
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "examples"
+GALLERY = EXAMPLES / "gallery"
+PICTURES = ROOT / "docs" / "images" / "gallery"
 
 
 def run(
@@ -22,10 +26,11 @@ def run(
 
 def test_every_example_is_run_here() -> None:
     here = Path(__file__).read_text(encoding="utf-8")
-    for example in EXAMPLES.glob("*.py"):
+    for example in EXAMPLES.rglob("*.py"):
         assert f'"{example.name}"' in here
 
 
+@pytest.mark.slow
 def test_fit_and_locate(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -37,6 +42,7 @@ def test_fit_and_locate(
     assert sightline.load(tmp_path / "model.safetensors").model == "camera+gpr"
 
 
+@pytest.mark.slow
 def test_write_tracks(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,6 +65,7 @@ def test_smooth_a_track(
     assert kinds == ["measured", "interpolated", "extrapolated"]
 
 
+@pytest.mark.slow
 def test_evaluate_a_track(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,3 +75,67 @@ def test_evaluate_a_track(
     assert int(compared[1]) > 100
     assert float(compared[2]) < 20.0
     assert (tmp_path / "report.json").exists()
+
+
+def draw(
+    name: str,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    **fewer: int,
+) -> str:
+    """What a script of the gallery prints; its picture is one that the documentation shows."""
+    script = runpy.run_path(str(GALLERY / name))
+    script["main"](folder, **fewer)
+    picture = f"{name.removesuffix('.py').replace('_', '-')}.png"
+    drawn, shown = cv2.imread(str(folder / picture)), cv2.imread(str(PICTURES / picture))
+    assert drawn.shape == shown.shape
+    assert drawn.std() > 10.0
+    assert (PICTURES / picture).stat().st_size < 150_000
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert f"images/gallery/{picture}" in page
+    assert f"`{name}`" in page
+    return capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_range_rings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = draw("range_rings.py", tmp_path, capsys)
+    found = re.search(r"height ([\d.]+) m \(true ([\d.]+) m\)\n([\d.]+) m RMSE", out)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(float(found[2]), rel=0.1)
+    assert float(found[3]) < 4.0
+
+
+@pytest.mark.slow
+def test_whose_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = draw("whose_log.py", tmp_path, capsys, recordings=2)
+    found = re.search(r"(\d+) tracks; the log is that of track \d+\n([\d.]+) m RMSE", out)
+    assert found is not None
+    assert int(found[1]) > 5
+    assert float(found[2]) < 6.0
+
+
+@pytest.mark.slow
+def test_trust(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = draw("trust.py", tmp_path, capsys, harbours=4)
+    found = re.search(r"ellipses hold (\d+)% of the true", out)
+    assert found is not None
+    assert int(found[1]) >= 85
+
+
+@pytest.mark.slow
+def test_gaps_and_forecast(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = draw("gaps_and_forecast.py", tmp_path, capsys)
+    rmse = {name: float(v) for name, v in re.findall(r"^(\w+): \d+ points, ([\d.]+) m", out, re.M)}
+    assert set(rmse) == {"seen", "hidden", "forecast"}
+    assert max(rmse["seen"], rmse["hidden"]) < rmse["forecast"] < 60.0
+
+
+@pytest.mark.slow
+def test_road_traffic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = draw("road_traffic.py", tmp_path, capsys)
+    found = re.findall(r"^lane (\d): speed ([\d.]+) km/h RMSE, near end ([\d.]+) m off", out, re.M)
+    assert sorted(lane for lane, _, _ in found) == ["0", "1", "2", "2", "3"]
+    for _, speed_kmh, near_end_m in found:
+        assert float(speed_kmh) < 5.0
+        assert float(near_end_m) < 2.0

@@ -203,6 +203,7 @@ def straight(n: int) -> np.ndarray:
     return np.arange(n)[:, None] * np.array([1.5, -0.8])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("until_then", [False, True])
 def test_the_velocity_of_a_platform_is_known_as_well_as_is_stated(until_then: bool) -> None:
     rows = np.arange(60, 235, 5)

@@ -3,7 +3,9 @@ from __future__ import annotations
 import ast
 import importlib
 import importlib.util
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -112,6 +114,34 @@ def test_what_make_is_said_to_do_it_can_do() -> None:
         said |= set(re.findall(r"(?:^    |`)make ([a-z-]+)", text, re.MULTILINE))
     assert {"demo", "test", "check", "bench", "docs"} <= said
     assert said <= known, f"not in the Makefile: {sorted(said - known)}"
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize(
+    ("python", "folder"),
+    [
+        ("python3", ".venv"),
+        ("python3.12", ".venv-python3.12"),
+        ("/opt/python3.13/bin/python3", ".venv-opt-python3.13-bin-python3"),
+    ],
+)
+def test_each_python_has_an_environment_of_its_own(python: str, folder: str) -> None:
+    asked = ["make", "--dry-run", "--always-make", "test", f"PYTHON={python}"]
+    # What the make that runs these tests was told is not for this one.
+    own = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
+    done = subprocess.run(asked, cwd=ROOT, env=own, capture_output=True, text=True, check=True)
+    assert f"{python} -m venv {folder} " in done.stdout
+    assert f"{folder}/bin/python -m pytest" in done.stdout
+
+
+def test_the_changelog_sends_to_modules_that_are_there() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    table = text.split("Modules that have moved:")[1].split("## 0.1.0")[0]
+    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `sightline.")]
+    assert len(rows) > 30
+    for _, new in rows:
+        for module in re.findall(r"`(sightline[\w.]+)`", new):
+            assert importlib.util.find_spec(module) is not None, module
 
 
 def test_layers_of_the_import_contract_are_all_modules() -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 HEADER = """\
 # The exact version of everything that is installed, so that an install today and in a year are
-# the same. For Linux and Python 3.11 to 3.13. Written by `make constraints`; do not edit.
+# the same. For Linux and Python 3.11 to 3.14. Written by `make constraints`; do not edit.
 """
 
 

@@ -2,9 +2,11 @@
 
 >>> scene = sightline.Scene.load("scene.toml")
 >>> model = sightline.fit(scene)
->>> tracks = sightline.track("harbour.mp4", model)
+>>> tracks = sightline.track("harbour.csv", model)  # a table of boxes; or a video
 >>> tracks.write("tracks.geojson")
 >>> report = sightline.evaluate(tracks, fixes="target.gpx")
+>>> round(report.coverage.p95, 1)
+1.0
 """
 
 from importlib import import_module as _import_module

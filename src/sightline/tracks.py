@@ -19,6 +19,14 @@ class Tracks:
 
     Attributes:
         tracks: Of any targets, at any times.
+
+    Examples:
+        >>> tracks = sightline.Tracks.read("tracks.geojson")
+        >>> tracks[0].label
+        'sailboat'
+        >>> table = tracks.to_dataframe()
+        >>> len(table) == sum(len(track) for track in tracks)
+        True
     """
 
     tracks: tuple[Track, ...]
@@ -37,6 +45,11 @@ class Tracks:
 
         Raises:
             InputError: The ending is unknown, an extra is missing, or the file cannot be written.
+
+        Examples:
+            >>> tracks = sightline.Tracks.read("tracks.geojson")
+            >>> tracks.write("tracks.gpx")
+            >>> tracks.write("tracks.kml")
         """
         write_tracks(self.tracks, path)
 
@@ -50,6 +63,11 @@ class Tracks:
 
         Raises:
             InputError: The file cannot be used.
+
+        Examples:
+            >>> tracks = sightline.Tracks.read("tracks.geojson")
+            >>> len(tracks)
+            10
         """
         return cls(read_tracks(path, plane=plane))
 

@@ -214,6 +214,17 @@ class Boxes(Columns):
             source: Absent: ``""``.
             track_id: Absent: `NO_TRACK`.
             label: Absent: ``""``.
+
+        Examples:
+            >>> boxes = sightline.Boxes.of(
+            ...     [[640.0, 400.0, 652.0, 409.0], [100.0, 395.0, 130.0, 412.0]],
+            ...     time_utc_s=1717236000.0,
+            ...     source="annotator",
+            ... )
+            >>> len(boxes), boxes.xyxy_px.shape, boxes.confidence.tolist()
+            (2, (2, 4), [1.0, 1.0])
+            >>> boxes[boxes.xyxy_px[:, 0] > 200.0].xyxy_px.tolist()
+            [[640.0, 400.0, 652.0, 409.0]]
         """
         xyxy = np.asarray(xyxy_px, dtype=np.float64)
         if xyxy.size == 0:
@@ -318,6 +329,16 @@ class Fixes(Columns):
 
     Raises:
         InputError: A column is of another length, times decrease, or a place is not on the earth.
+
+    Examples:
+        >>> log = sightline.Fixes(
+        ...     time_utc_s=[1717236000.0, 1717236001.0],
+        ...     latitude_deg=[54.3251, 54.3252],
+        ...     longitude_deg=[10.1402, 10.1402],
+        ...     name="Anna",
+        ... )
+        >>> len(log), log.latitude_deg[1:].tolist()
+        (2, [54.3252])
     """
 
     time_utc_s: FloatArray
@@ -488,7 +509,18 @@ class EastNorthPositions(Columns):
 
 @dataclass(frozen=True, eq=False)
 class Positions(EastNorthPositions):
-    """Where boxes lie on the earth: east and north of the origin of a `LocalPlane`."""
+    """Where boxes lie on the earth: east and north of the origin of a `LocalPlane`.
+
+    Examples:
+        Of two boxes, the second lies in the sky:
+
+        >>> model = sightline.load("model.safetensors")
+        >>> where = model.locate([[600, 400, 640, 430], [600, 100, 640, 130]], source="annotator")
+        >>> where.known.tolist(), where.covariance_m2.shape
+        ([True, False], (2, 2, 2))
+        >>> where.range_m.round(-1).tolist()
+        [100.0, nan]
+    """
 
     @property
     def latitude_deg(self) -> FloatArray:
@@ -665,6 +697,15 @@ class Track(Columns):
         kind: (N,) int8, a `PointKind` a row.
         plane: Where the origin lies on the earth.
         label: The class of the target, or ``""``.
+
+    Examples:
+        >>> track = sightline.Tracks.read("tracks.geojson")[0]
+        >>> track.east_m.shape == track.time_utc_s.shape
+        True
+        >>> track.covariance_m2.shape == (len(track), 2, 2)
+        True
+        >>> bool((track.speed_mps >= 0.0).all() and (track.course_deg < 360.0).all())
+        True
     """
 
     track_id: int

@@ -19,6 +19,7 @@ from sightline.scene import Scene
 from sightline.types import Boxes, to_datetime64
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 4])
 def test_the_vessels_in_view_are_found_in_a_feed_and_no_others(seed):
     traffic = Traffic.random(seed, vessels=25)
@@ -35,6 +36,7 @@ def test_the_vessels_in_view_are_found_in_a_feed_and_no_others(seed):
         assert (one.taken & ~own).sum() < 0.1 * one.taken.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_the_log_of_a_vessel_that_was_never_in_view_is_refused(seed):
     traffic = Traffic.random(seed, vessels=12)
@@ -52,6 +54,7 @@ def test_nobody_is_recognised_without_boxes_or_without_a_log():
             associate([watch], (1280, 720))
 
 
+@pytest.mark.slow
 def test_a_real_boat_is_found_among_clutter_and_its_boxes_teach_the_camera(data_dir):
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     only = replace(scene, recordings=(replace(scene["07"], boxes_path=None),))
@@ -103,6 +106,7 @@ def ais_file(path, traffic):
     path.write_text("\n".join(line for _, line in sorted(lines)) + "\n", encoding="ascii")
 
 
+@pytest.mark.slow
 def test_a_feed_in_a_file_teaches_a_scene_without_drawn_boxes(tmp_path):
     traffic = Traffic.random(4, vessels=12, unlogged=0)
     ais_file(tmp_path / "ais.nmea", traffic)

@@ -29,6 +29,7 @@ def test_boats_are_as_high_as_the_habit_says_of_their_boxes():
     np.testing.assert_array_equal(edge.hull_px(np.array([1.0])), [0.0])
 
 
+@pytest.mark.slow
 def test_the_detector_that_ships_says_what_it_does_on_boats_that_nobody_looked_at():
     detector = detector_by_name("harbour")
     seen = overhang(detector, 2, seed=7)

@@ -298,6 +298,7 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
     assert total < chi2.ppf(0.995, 2 * len(SEEDS))
 
 
+@pytest.mark.slow
 def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
     """Boxes that all end 6 px too low look like a camera that is turned up."""
     planted = np.array([[6.0, -0.2]])

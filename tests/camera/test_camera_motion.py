@@ -50,6 +50,7 @@ def test_a_turn_in_mid_recording_is_reported_within_seconds_and_measured(turn_de
     np.testing.assert_allclose(measured, turn_deg, atol=0.15)
 
 
+@pytest.mark.slow
 def test_no_alarm_in_undisturbed_recordings():
     assert sum(len(turns(seed, rate_hz=1.0)) for seed in range(20)) == 0
 

@@ -39,6 +39,7 @@ def test_where_there_is_no_horizon_none_is_found() -> None:
     np.testing.assert_allclose(found, (150.0, 160.0), atol=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_synthetic_harbour(seed: int) -> None:
     harbour = Harbour.random(seed, duration_s=20.0)
@@ -51,6 +52,7 @@ def test_the_synthetic_harbour(seed: int) -> None:
     np.testing.assert_allclose(found, truth, atol=5.0)
 
 
+@pytest.mark.slow
 def test_real_recordings_agree_with_the_camera_fitted_to_the_log(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     camera = fit(scene, "camera").camera

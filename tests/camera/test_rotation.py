@@ -205,6 +205,7 @@ def off_m(scene: Scene, model: Georeferencer) -> float:
     return float(np.sqrt(np.mean(pairs.error_m[pairs.time_utc_s > KNOCKED_S + 2.0] ** 2)))
 
 
+@pytest.mark.slow
 def test_places_hold_after_a_turn_of_a_degree(world: World) -> None:
     still_m = off_m(world.still, world.model)
     assert off_m(world.scene, world.model) < 1.15 * still_m
@@ -226,6 +227,7 @@ class Eye:
         """Nothing is remembered."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corrected", [True, False])
 def test_tracks_hold_as_pictures_come_in(world: World, corrected: bool) -> None:
     recording = world.scene["02"]
@@ -313,6 +315,7 @@ def test_a_knock_turns_the_simulated_camera_and_the_sky_stays(world: World) -> N
         simulate(world.scene.path.parent / "none", moving=True, knock=knock)
 
 
+@pytest.mark.slow
 def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     fitted = sightline.fit(scene, "camera")
@@ -328,6 +331,7 @@ def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_
     assert watched_m < plain_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["06", "07", "13", "17"])
 def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
     data_dir: Path, name: str

@@ -100,6 +100,7 @@ def at_sea(tmp_path_factory: pytest.TempPathFactory) -> sightline.Scene:
     return sightline.Scene.load(simulate(folder, seed=1, video=False, moving=True).scene)
 
 
+@pytest.mark.slow
 def test_a_camera_under_way_is_learned_and_its_ellipses_hold(at_sea: sightline.Scene) -> None:
     truth = json.loads((at_sea.path.parent / "truth.json").read_text())
     model = sightline.fit(at_sea, "camera")
@@ -116,6 +117,7 @@ def test_a_camera_under_way_is_learned_and_its_ellipses_hold(at_sea: sightline.S
     assert report.coverage.p95 >= 0.85
 
 
+@pytest.mark.slow
 def test_forecasts_from_on_board_are_scored_on_the_earth(at_sea: sightline.Scene) -> None:
     placed = place_boxes(at_sea, leave_one_out(at_sea, "camera").__getitem__)
     report = with_forecasts(score(placed), placed)
@@ -275,6 +277,7 @@ def test_a_scene_of_a_camera_that_moves_only_now_and_then_is_refused(
         sightline.fit(sightline.Scene.load(path), "camera")
 
 
+@pytest.mark.slow
 def test_the_waterline_is_found_in_pictures_of_a_sea_way(tmp_path: Path) -> None:
     made = simulate(tmp_path, seed=0, recordings=1, duration_s=4.0, rate_hz=3.0, moving=True)
     (recording,) = sightline.Scene.load(made.scene).recordings
@@ -338,6 +341,7 @@ def _without_heave(state: tuple) -> tuple:
     return arrays, {**settings, "noise": {**settings["noise"], "heave_m": 0.0}}
 
 
+@pytest.mark.slow
 def test_a_camera_that_stands_still_does_not_heave(tmp_path: Path) -> None:
     scene = sightline.Scene.load(simulate(tmp_path, seed=1, video=False).scene)
     assert sightline.fit(scene, "camera").regressor.fit_.noise.heave_m == 0.0

@@ -868,6 +868,7 @@ def test_whoever_has_read_enough_may_stop(
     assert list(json.loads(out.read_text())["models"]) == ["qkr"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_an_earlier_run_as_it_was(
     sightline: Command, harbour: Path, tmp_path: Path
 ) -> None:
@@ -901,6 +902,7 @@ def test_debug_shows_where_an_error_came_from(sightline: Command, tmp_path: Path
     assert done.err.endswith("no.toml: there is no such scene file\n")
 
 
+@pytest.mark.slow
 def test_a_bug_shows_its_traceback_and_exits_with_1(harbour: Path, tmp_path: Path) -> None:
     script = f"""
 import sys
@@ -975,6 +977,7 @@ def test_too_little_memory_is_no_bug(
     assert done.err == "error: there is not enough memory for this: Unable to allocate 1.46 TiB\n"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_names_in_any_script_are_taken(sightline: Command, harbour: Path, tmp_path: Path) -> None:
     """The font of the plots has no Chinese letters, which nobody needs to be told."""

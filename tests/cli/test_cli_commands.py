@@ -87,6 +87,7 @@ def test_fit_writes_a_model_that_python_loads(
     assert f"learned from {model.report.n} of {model.report.asked} boxes" in done.out
 
 
+@pytest.mark.slow
 def test_compare_leaves_recordings_out_and_prints_the_table(
     sightline: Command, harbour: Path, tmp_path: Path
 ) -> None:
@@ -193,6 +194,7 @@ def test_tracks_of_a_table_keep_its_ids(sightline: Command, harbour: Path, tmp_p
     assert sorted(track.track_id for track in Tracks.read(out)) == [7, 42]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "times"),
     [("boat.mp4", ()), ("boat.mp4", ("--start-utc", "2020-09-30T19:36:24Z")), ("frames", None)],
@@ -228,6 +230,7 @@ def test_points_at_an_interval(sightline: Command, harbour: Path, tmp_path: Path
     np.testing.assert_allclose(np.diff(track.time_utc_s), 0.25, atol=1.1e-3)
 
 
+@pytest.mark.slow
 def test_run_writes_tracks_model_report_and_map(
     sightline: Command, harbour: Path, tmp_path: Path
 ) -> None:
@@ -265,6 +268,7 @@ def test_run_writes_tracks_model_report_and_map(
     assert all(Path(path).exists() for path in result["files"].values())
 
 
+@pytest.mark.slow
 def test_run_says_where_pictures_come_too_seldom(
     sightline: Command, harbour: Path, tmp_path: Path
 ) -> None:
@@ -328,6 +332,7 @@ def test_simulate_writes_a_scene(sightline: Command, tmp_path: Path) -> None:
     assert len(read_fixes(out / "target.gpx")) > 30
 
 
+@pytest.mark.slow
 def test_demo_runs_the_whole_way(
     sightline: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,6 +398,7 @@ def test_what_the_command_says_of_itself(sightline: Command, flag: str, said: st
     assert said in done.out
 
 
+@pytest.mark.slow
 def test_the_installed_command_refuses_in_one_line(tmp_path: Path) -> None:
     command = Path(sys.executable).with_name("sightline")
     done = subprocess.run(

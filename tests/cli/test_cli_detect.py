@@ -80,6 +80,7 @@ def test_boxes_of_a_video(sightline: Command, harbour: Path, tmp_path: Path, end
     assert (told["frames"], told["boxes"]) == (40, 40)
 
 
+@pytest.mark.slow
 def test_frames_without_times_have_boxes_without(
     sightline: Command, harbour: Path, tmp_path: Path
 ) -> None:

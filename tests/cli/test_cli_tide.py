@@ -24,6 +24,7 @@ def tidal(harbour: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_model_that_knows_levels_needs_one_to_track(
     sightline: Command, harbour: Path, tidal: Path, tmp_path: Path
 ) -> None:

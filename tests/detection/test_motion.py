@@ -113,6 +113,7 @@ def detections(harbour: Harbour) -> Boxes:
     return Boxes.concatenate(found)
 
 
+@pytest.mark.slow
 def test_boats_in_a_harbour_are_found(harbour: Harbour, detections: Boxes) -> None:
     times = harbour.times(8.0)
     true = harbour.boxes(times, of="moving")

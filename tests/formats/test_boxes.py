@@ -122,6 +122,7 @@ def test_chunks_are_the_file_in_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Boxes.concatenate(chunks).xyxy_px, read_boxes(path).xyxy_px)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".txt"])
 def test_reading_in_chunks_keeps_memory_flat(tmp_path: Path, suffix: str) -> None:
     def peak(n: int) -> int:

@@ -40,6 +40,7 @@ def both(small_scene: Scene, found: dict[str, Boxes]) -> Georeferencer:
     return fit(small_scene, "camera+gpr", extra=found)
 
 
+@pytest.mark.slow
 def test_its_lower_edge_is_learned_and_its_residuals_are_not(
     small_scene: Scene, found: dict[str, Boxes], both: Georeferencer
 ) -> None:

@@ -16,6 +16,8 @@ from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.types import ControlPoints
 
+pytestmark = pytest.mark.slow
+
 SIZE = (800, 600)
 
 

@@ -14,6 +14,8 @@ from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
 from sightline.synchronisation import synchronise
 from sightline.types import FloatArray
 
+pytestmark = pytest.mark.slow
+
 SEEDS = range(6)
 WINDOW_S = 60.0
 WINDOWS = 5

@@ -15,6 +15,8 @@ from sightline.pipeline.evaluate import compare
 from sightline.scene import Scene
 from sightline.scene.correspondences import scene_pairs
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scene(data_dir: Path) -> Scene:

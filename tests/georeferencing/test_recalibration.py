@@ -31,6 +31,7 @@ def model_of(harbour, pairs):
     return fit(FitInputs(pairs, size, nothing), FitSettings("camera"))
 
 
+@pytest.mark.slow
 def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without():
     alarms = 0
     for seed in range(4):

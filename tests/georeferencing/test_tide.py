@@ -93,6 +93,7 @@ def later(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return write_scene(tmp_path_factory.mktemp("tide") / "later", levels_m, seed=60)
 
 
+@pytest.mark.slow
 def test_the_height_is_that_over_the_levels_and_any_datum_will_do(model: Georeferencer) -> None:
     camera = model.camera
     assert camera is not None
@@ -103,6 +104,7 @@ def test_the_height_is_that_over_the_levels_and_any_datum_will_do(model: Georefe
     assert camera.pitch_deg == pytest.approx(CAMERA.pitch_deg, abs=0.3)
 
 
+@pytest.mark.slow
 def test_places_hold_at_levels_that_were_never_seen(
     model: Georeferencer, learned: Scene, later: Scene, tmp_path: Path
 ) -> None:
@@ -225,6 +227,7 @@ def test_a_new_day_improves_a_model_over_the_same_datum(model: Georeferencer, la
     assert "stands as it did" in newer.report.statements[0]
 
 
+@pytest.mark.slow
 def test_vessels_are_recognised_at_all_levels(tmp_path: Path) -> None:
     scene = write_scene(tmp_path / "told", LEVELS_M, seed=70, drawn=False)
     found = sightline.fit(scene, "camera", detector=None)
@@ -281,6 +284,7 @@ def test_what_does_not_fit_together_is_refused(
         sightline.fit(mixed, "camera")
 
 
+@pytest.mark.slow
 def test_models_without_a_camera_learn_from_the_boxes_as_they_are(
     learned: Scene, tmp_path: Path
 ) -> None:

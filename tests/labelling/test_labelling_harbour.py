@@ -20,6 +20,8 @@ from sightline.overlap import iou
 from sightline.simulation.simulate import simulate
 from sightline.types import Frame
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def harbour(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -12,6 +12,8 @@ from sightline.formats.labels import read_labels
 from sightline.labelling import SOURCE, contact_sheets, learn_size, propose
 from sightline.overlap import iou
 
+pytestmark = pytest.mark.slow
+
 DRAWN = Path(__file__).parents[2] / "benchmarks" / "tracks-at-sea" / "boxes"
 
 

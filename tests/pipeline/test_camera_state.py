@@ -115,6 +115,7 @@ def folder_of(frames: Iterator[Frame], folder: Path) -> tuple[Path, Path]:
     return folder / "frames", folder / "clock.csv"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("apart_s", [0.5, 4.0])
 def test_track_warns_of_a_turn_within_20_seconds(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, apart_s: float
@@ -140,6 +141,7 @@ def test_track_warns_of_a_turn_within_20_seconds(
     assert heading_deg == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shore", [True, False], ids=["a shore", "open water"])
 def test_a_camera_that_stands_still_is_not_said_to_turn(shore: bool) -> None:
     for seed in range(10):
@@ -210,6 +212,7 @@ def test_what_cannot_be_watched_is_not(changes: dict[str, object]) -> None:
         assert watch.observe(frame) is None
 
 
+@pytest.mark.slow
 def test_the_real_camera_was_turned_in_one_recording(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     fitted = fit(scene, "camera")

@@ -113,6 +113,7 @@ def assert_same_tracks(some: Iterable[Track], others: Iterable[Track], *, ids: b
         np.testing.assert_allclose(one.north_m, other.north_m, atol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ids", [True, False], ids=["with ids", "without ids"])
 @pytest.mark.parametrize("chunk_rows", [20, 100])
 def test_a_table_in_pieces_gives_the_tracks_of_the_whole(
@@ -128,6 +129,7 @@ def test_a_table_in_pieces_gives_the_tracks_of_the_whole(
     assert_same_tracks(pieces, whole)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ids", [True, False], ids=["with ids", "without ids"])
 def test_a_table_in_no_order_gives_the_same_tracks(tmp_path: Path, ids: bool) -> None:
     boxes = traffic(ids=ids)
@@ -138,6 +140,7 @@ def test_a_table_in_no_order_gives_the_same_tracks(tmp_path: Path, ids: bool) ->
         assert_same_tracks(track(source, MODEL, settings=QUICK), ordered, ids=ids)
 
 
+@pytest.mark.slow
 def test_tracks_come_as_soon_as_their_targets_have_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,6 +171,7 @@ def test_a_returning_target_takes_no_id_of_the_table() -> None:
     assert tracks[2].time_utc_s[0] == later.time_utc_s[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_rows", [1, 13, 10_000])
 def test_a_long_track_is_cut(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_rows: int
@@ -322,6 +326,7 @@ def boat_video(path: Path, start_s: float) -> None:
     write_video(path, frames())
 
 
+@pytest.mark.slow
 def test_run_takes_boxes_detections_and_videos(harbour: Simulation, tmp_path: Path) -> None:
     folder = harbour.scene.parent
     boat_video(tmp_path / "03.mp4", START_S)
@@ -375,6 +380,7 @@ def truth_at(harbour: Simulation, times: FloatArray) -> FloatArray:
     return np.stack([truth.east_m, truth.north_m], axis=1)
 
 
+@pytest.mark.slow
 def test_smoothing_takes_error_away(tmp_path: Path) -> None:
     """Against the world's own truth, not its log, over harbours with different cameras."""
     single, smoothed = [], []

@@ -28,6 +28,7 @@ def test_a_seed_gives_the_same_world_and_another_seed_another() -> None:
     assert len(again) != len(first) or not np.array_equal(again.xyxy_px, first.xyxy_px)
 
 
+@pytest.mark.slow
 def test_the_foot_of_a_box_lies_within_the_hull_of_the_true_place(harbour: Harbour) -> None:
     times = harbour.times(2.0)
     boxes = harbour.boxes(times)
@@ -76,6 +77,7 @@ def test_the_target_is_mostly_in_view_near_and_far(harbour: Harbour) -> None:
     assert not set(moving.track_id) & still
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_time_s", [0.0, 1.0])
 def test_box_noise_has_the_stated_spread_bias_and_memory(
     harbour: Harbour, correlation_time_s: float
@@ -99,6 +101,7 @@ def test_box_noise_has_the_stated_spread_bias_and_memory(
     assert set(noisy.source) == {"x"}
 
 
+@pytest.mark.slow
 def test_misses_take_the_stated_share(harbour: Harbour) -> None:
     times = harbour.times(10.0)
     share = len(harbour.boxes(times, noise=BoxNoise(miss_probability=0.3))) / len(
@@ -136,6 +139,7 @@ def test_receiver_noise_has_the_stated_spread_intervals_gaps_and_offset() -> Non
     assert lag == pytest.approx(np.exp(-1.0 / 5.0), abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_post_hides_what_passes_behind_it() -> None:
     harbour = Harbour.random(0, duration_s=600.0)
     times = harbour.times(10.0)

@@ -24,6 +24,7 @@ def empty(harbour: Harbour) -> Renderer:
     return Renderer(nobody, PLAIN)
 
 
+@pytest.mark.slow
 def test_the_pixels_of_boats_fill_their_projected_boxes_and_no_more(
     harbour: Harbour, renderer: Renderer, empty: Renderer
 ) -> None:
@@ -66,6 +67,7 @@ def test_the_horizon_divides_sky_and_water(harbour: Harbour, empty: Renderer) ->
         assert one[5, column, 0] > one[-5, column, 0]
 
 
+@pytest.mark.slow
 def test_the_same_time_gives_the_same_picture_and_water_moves(harbour: Harbour) -> None:
     first, second = Renderer(harbour), Renderer(harbour)
     now = harbour.start_utc_s + 12.3

@@ -19,6 +19,7 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
     return simulate(folder, seed=3, **SETTINGS)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_times_in_the_video_are_the_true_ones(simulation: Simulation) -> None:
     for recording in simulation.recordings:
         path = simulation.scene.parent / f"{recording.name}.mp4"

@@ -141,6 +141,7 @@ def test_what_has_no_place_is_followed_in_the_image() -> None:
     assert tracker.estimates().track_id.size == 0
 
 
+@pytest.mark.slow
 def test_estimates_follow_the_truth_with_an_honest_covariance() -> None:
     inside = []
     for seed in range(30):

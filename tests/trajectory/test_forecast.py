@@ -144,11 +144,13 @@ def inside_95(
     return {lag_s: float(np.mean(held)) for lag_s, held in inside.items()}
 
 
+@pytest.mark.slow
 def test_ellipses_hold_the_truth_of_simulated_motion() -> None:
     for share in inside_95(MotionModel(), MotionModel(), sigma_m=3.0, seen=8).values():
         assert 0.90 <= share <= 0.99
 
 
+@pytest.mark.slow
 def test_ellipses_hold_boats_that_turn_harder_than_most() -> None:
     """All turns are at 16 degrees a second, where a tenth of them are expected to be such."""
     small = replace(MotionModel(), turn_rate_radps=0.28, hard_share=0.0)
@@ -312,6 +314,7 @@ def test_what_the_platform_is_off_in_its_velocity_takes_the_forecast_along() -> 
     )
 
 
+@pytest.mark.slow
 def test_ellipses_from_a_vessel_hold_for_targets_that_go_straight() -> None:
     """The vessel's receiver is off, and so it does not know its own velocity."""
     times = np.arange(0.0, 90.0)

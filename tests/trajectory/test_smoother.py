@@ -340,6 +340,7 @@ def test_common_part_stays_whatever_the_number_of_boxes() -> None:
     assert honest.common_along == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tau_s", "largest_ratio"), [(0.0, 0.65), (1.0, 0.55)], ids=["white", "lasting"]
 )
@@ -351,6 +352,7 @@ def test_better_than_the_paper_and_honest(tau_s: float, largest_ratio: float) ->
     assert 0.90 <= ours[:, 1].mean() <= 0.98
 
 
+@pytest.mark.slow
 def test_honest_with_one_box_each_four_seconds() -> None:
     boats = [scene(seed, sparse=True) for seed in range(40)]
     ours = np.array([_error(boat, RtsSmoother()) for boat in boats])

@@ -125,6 +125,14 @@ class Georeferencer:
         Raises:
             InputError: A box is reversed, or not a number; or the water level or the pose is
                 missing, is given to a model that knows of none, or does not fit.
+
+        Examples:
+            >>> model = sightline.load("model.safetensors")
+            >>> where = model.locate([600.0, 400.0, 640.0, 430.0], source="annotator")
+            >>> where.latitude_deg.round(3).tolist(), where.longitude_deg.round(3).tolist()
+            ([54.322], [10.139])
+            >>> where.extrapolated.tolist()
+            [False]
         """
         if pose is None and self.moving:
             raise InputError(
@@ -341,6 +349,11 @@ def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) 
     Raises:
         ModelFileError: There is no such file, it is damaged, of another kind, or of a format
             version that this release does not know.
+
+    Examples:
+        >>> model = sightline.load("model.safetensors")
+        >>> model.model, model.image_size_px
+        ('camera+gpr', (1280, 720))
     """
     content, tensors = read_model_file(path)
     try:

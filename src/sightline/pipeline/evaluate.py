@@ -62,6 +62,16 @@ def evaluate(
 
     Raises:
         InputError: Something is missing, or nothing can be compared.
+
+    Examples:
+        Tracks against a log, and the boxes of a scene as a model places them:
+
+        >>> report = sightline.evaluate("tracks.geojson", fixes="target.gpx")
+        >>> print(f"{report.ape.rmse:.0f} m RMSE")
+        4 m RMSE
+        >>> model = sightline.load("model.safetensors")
+        >>> sightline.evaluate("scene.toml", model=model).ape.n
+        162
     """
     if isinstance(what, str | os.PathLike):
         path = Path(what)
@@ -274,6 +284,16 @@ def compare(
     Raises:
         InputError: A name is not known.
         FitError: See `leave_one_out`.
+
+    Examples:
+        >>> scene = sightline.Scene.load("scene.toml")
+        >>> comparison, located = sightline.compare(scene, ["camera", "qkr"])
+        >>> for name, report in comparison.models.items():
+        ...     print(f"{name}: {report.ape.n} boxes, {report.ape.rmse:.0f} m RMSE")
+        camera: 162 boxes, 11 m RMSE
+        qkr: 162 boxes, 25 m RMSE
+        >>> [one.recording for one in located["camera"]]
+        ['01', '02', '03']
     """
     if not models:
         raise InputError(f"no model is named; known are {', '.join(MODELS)}")

@@ -85,6 +85,13 @@ def fit_scene(
     Raises:
         InputError: The model's name is not known, or a file of the scene cannot be used.
         FitError: There is too little, or nobody can be recognised.
+
+    Examples:
+        >>> model = sightline.fit(sightline.Scene.load("scene.toml"), model="camera")
+        >>> height = model.report.parameters[0]
+        >>> height.name, height.unit, round(height.value)
+        ('height_m', 'm', 5)
+        >>> path = model.save("camera.safetensors")
     """
     model = model_type(model)
     if detector is not None:

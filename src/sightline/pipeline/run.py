@@ -88,6 +88,13 @@ def run(
     Raises:
         InputError: A file of the scene cannot be used.
         FitError: No model can be learned from the scene.
+
+    Examples:
+        >>> result = sightline.run(sightline.Scene.load("scene.toml"))
+        >>> {name: len(tracks) for name, tracks in result.tracks.items()}
+        {'01': 1, '02': 1, '03': 1}
+        >>> result.left_out, round(result.smoothed.ape.rmse)
+        (True, 11)
     """
     settings = settings or TrackSettings()
     settings = replace(settings, correct_turns=settings.correct_turns and scene.camera.watched)

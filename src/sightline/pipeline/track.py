@@ -147,6 +147,14 @@ def track(
         InputError: The source cannot be read, nothing tells its times, or the model is of a camera
             that moves and the source of one that does not, or the reverse, or water levels are
             missing or of no use.
+
+    Examples:
+        A table of boxes, as any detector may have written it; a video is given in the same way:
+
+        >>> model = sightline.load("model.safetensors")
+        >>> tracks = sightline.track("harbour.csv", model)
+        >>> len(tracks), tracks[0].label
+        (10, 'sailboat')
     """
     found = iter_tracks(
         source,
@@ -195,6 +203,16 @@ def iter_tracks(
 
     Raises:
         InputError: See `track`.
+
+    Examples:
+        >>> model = sightline.load("model.safetensors")
+        >>> forecasts = []
+        >>> tracks = sightline.iter_tracks("harbour.csv", model, forecasts=forecasts.append)
+        >>> first = next(tracks)
+        >>> first.track_id == forecasts[0].track_id
+        True
+        >>> bool((forecasts[0].time_utc_s > first.time_utc_s[-1]).all())
+        True
     """
     settings = settings or TrackSettings()
     smoother = method(settings.trajectory)

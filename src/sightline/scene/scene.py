@@ -358,6 +358,13 @@ class Scene:
         Raises:
             InputError: The file is missing or no TOML, a key is unknown or has a value that it
                 cannot have, a name comes twice, or a file that it names is missing.
+
+        Examples:
+            >>> scene = sightline.Scene.load("scene.toml")
+            >>> [recording.name for recording in scene.recordings]
+            ['01', '02', '03']
+            >>> scene["02"].boxes().xyxy_px.shape
+            (60, 4)
         """
         table = _parse(Path(path))
         base = Path(path).parent

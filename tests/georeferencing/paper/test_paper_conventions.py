@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
 from sklearn.base import BaseEstimator
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
@@ -11,6 +12,7 @@ from sightline.georeferencing.paper.quadratic import QuadraticKernelRegression
 from sightline.georeferencing.paper.two_layer import TwoLayerRegressor
 
 
+@pytest.mark.slow
 @parametrize_with_checks(
     [
         QuadraticKernelRegression(),

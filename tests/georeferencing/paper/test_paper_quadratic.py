@@ -82,6 +82,7 @@ def test_equals_least_squares_on_the_monomials(n: int) -> None:
     assert model.rank_ == design.shape[1]
 
 
+@pytest.mark.slow
 @given(st.lists(st.integers(1, 60), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
 def test_portions_add_up_to_one_pass(sizes: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -146,6 +147,7 @@ def test_undetermined_data_gives_the_solution_of_smallest_norm(X: np.ndarray, ra
     np.testing.assert_allclose(model.q_, smallest, atol=1e-7 * np.abs(smallest).max())
 
 
+@pytest.mark.slow
 def test_stated_covariance_is_that_of_the_error_over_many_fits() -> None:
     rng = np.random.default_rng(8)
     H, f, r = planted(rng, 2, 2)
