@@ -464,8 +464,9 @@ def _updated(
     prior = np.log(np.maximum(state.weight[0], 1e-300))
     likely = prior - 0.5 * (distance2 + np.log(np.linalg.det(spread)))
     weight = np.exp(likely - likely.max())
-    for _ in range(_ITERATIONS):
-        there, design = _sight(at[:, :2] - eye_m)
+    for k in range(_ITERATIONS):
+        if k > 0:
+            there, design = _sight(at[:, :2] - eye_m)
         cross = covariance[:, :, :2] @ np.swapaxes(design, 1, 2)
         gain = cross @ np.linalg.inv(design @ place @ np.swapaxes(design, 1, 2) + noise)
         rest = _off(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
@@ -484,10 +485,13 @@ def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bearing and inverse range (N, 2) of places (N, 2), and their derivatives (N, 2, 2)."""
     east, north = en_m.T
     range_m = np.maximum(np.hypot(east, north), _NEAREST_M)
-    sight = np.stack([np.arctan2(east, north), 1.0 / range_m], axis=1)
     squared, cubed = range_m**2, range_m**3
-    rows = np.stack([north / squared, -east / squared, -east / cubed, -north / cubed], axis=1)
-    return sight, rows.reshape(-1, 2, 2)
+    # Filled in column by column: each step of a filter asks for a few, again and again.
+    sight, rows = np.empty((len(en_m), 2)), np.empty((len(en_m), 2, 2))
+    sight[:, 0], sight[:, 1] = np.arctan2(east, north), 1.0 / range_m
+    rows[:, 0, 0], rows[:, 0, 1] = north / squared, -east / squared
+    rows[:, 1, 0], rows[:, 1, 1] = -east / cubed, -north / cubed
+    return sight, rows
 
 
 def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
