@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -31,10 +32,23 @@ def place(since_s: FloatArray) -> FloatArray:
     return distance[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
 
 
-def seen(first_s: float = 0.0, last_s: float = DURATION_S) -> Observations:
+def round_and_round(since_s: FloatArray) -> FloatArray:
+    """(N, 2) of one that repeats itself every 40 s, as near."""
+    phase = 2.0 * np.pi * since_s / 40.0
+    bearing = np.radians(
+        CAMERA.heading_deg + 20.0 * np.sin(phase + 0.5) + 4.0 * np.sin(2.0 * phase)
+    )
+    distance = 110.0 * np.exp(0.6 * np.cos(phase) + 0.1 * np.sin(3.0 * phase))
+    return distance[:, None] * np.stack([np.sin(bearing), np.cos(bearing)], axis=1)
+
+
+Goes = Callable[[FloatArray], FloatArray]
+
+
+def seen(first_s: float = 0.0, last_s: float = DURATION_S, *, goes: Goes = place) -> Observations:
     """Its boxes, two a second."""
     since_s = np.arange(first_s, last_s, 0.5)
-    where = place(since_s)
+    where = goes(since_s)
     foot = CAMERA.project(*where.T)
     foot = foot + np.random.default_rng(1).normal(0.0, 1.0, foot.shape)
     half = 4000.0 / np.hypot(*where.T)
@@ -50,12 +64,17 @@ def seen(first_s: float = 0.0, last_s: float = DURATION_S) -> Observations:
 
 
 def log(
-    name: str, turned_deg: float = 0.0, north_m: float = 0.0, late_s: float = 0.0
+    name: str,
+    turned_deg: float = 0.0,
+    north_m: float = 0.0,
+    late_s: float = 0.0,
+    *,
+    goes: Goes = place,
 ) -> LoggedPath:
     """Its log, turned clockwise about the camera, moved north, or of another time."""
     since_s = np.arange(-80.0, DURATION_S + 80.0)
     sine, cosine = np.sin(np.radians(turned_deg)), np.cos(np.radians(turned_deg))
-    path = place(since_s - late_s) @ np.array([[cosine, -sine], [sine, cosine]])
+    path = goes(since_s - late_s) @ np.array([[cosine, -sine], [sine, cosine]])
     path[:, 1] += north_m
     return LoggedPath(name, START_UTC_S + since_s, path, np.full_like(path, np.nan))
 
@@ -82,6 +101,16 @@ def test_two_logs_that_explain_it_alike_are_refused(order: int) -> None:
     ) as caught:
         recognise(*logs)
     assert "\n" not in str(caught.value)
+
+
+def test_a_path_that_repeats_itself_does_not_tell_the_clock() -> None:
+    """A clock that is off by a round explains it as well."""
+    watches = [Watch("one", seen(goes=round_and_round), (log("one", goes=round_and_round),))]
+    with pytest.raises(FitError, match=r"about as good as each other: clocks .*40 s"):
+        associate(watches, SIZE)
+    # Where clocks are known to be nearer than a round there is only one.
+    found = associate(watches, SIZE, largest_offset_s=15.0)
+    assert found.offset_s["one"] == pytest.approx(0.0, abs=0.5)
 
 
 def test_of_two_logs_the_one_that_goes_as_what_is_seen_is_told() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.association.evidence import Match, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
-from sightline.association.search import Watch, candidates
+from sightline.association.search import Candidate, Watch, candidates
 from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
@@ -122,14 +122,13 @@ def associate(
         count=_MOST_WITH_FEED if feed else _MOST_CANDIDATES,
     )
     refiner = Refiner(watches, image_size_px, largest_offset_s=largest_offset_s)
-    judged = []
-    for start in starts:
-        explanation = refiner.refine(start)
-        found = matches(watches, explanation, image_size_px)
-        evidence = sum(match.gain for match in found)
-        evidence -= cost(explanation, largest_offset_s, image_size_px)
-        judged.append(_also(refiner, _Judged(explanation, found, evidence), image_size_px))
+    judged = [_judge(refiner, start, image_size_px, largest_offset_s) for start in starts]
     judged.sort(key=lambda one: -one.evidence)
+    if judged[0].matches:
+        other = refiner.at_another_clock(judged[0].explanation, _SAME_OFFSET_S)
+        if other is not None:
+            judged.append(_judge(refiner, other, image_size_px, largest_offset_s))
+            judged.sort(key=lambda one: -one.evidence)
     best = judged[0]
     if not best.matches or best.evidence < LEAST_EVIDENCE:
         how = "nothing that is seen moves as a log says"
@@ -140,15 +139,26 @@ def associate(
             f"no logged vessel can be told from what else is seen: {how}; check the clock and that "
             "the log is of something in view, give more recordings, or draw boxes"
         )
-    other = next((one for one in judged[1:] if _differ(best, one)), None)
-    runner_up = other.evidence if other else -np.inf
+    second = next((one for one in judged[1:] if _differ(best, one)), None)
+    runner_up = second.evidence if second else -np.inf
     if best.evidence - runner_up < LEAST_LEAD:
         raise FitError(
             "two explanations are about as good as each other: clocks "
-            f"{_offset(best):.0f} s or {_offset(other or best):.0f} s apart; give more recordings, "
-            "a log of more turns, or draw boxes"
+            f"{_offset(best):.0f} s or {_offset(second or best):.0f} s apart; give more "
+            "recordings, a log of more turns, or draw boxes"
         )
     return _summary(watches, image_size_px, best, float(runner_up))
+
+
+def _judge(
+    refiner: Refiner, start: Candidate, image_size_px: tuple[int, int], largest_offset_s: float
+) -> _Judged:
+    """The explanation that a candidate leads to, with what it explains and what it costs."""
+    explanation = refiner.refine(start)
+    found = matches(refiner.watches, explanation, image_size_px)
+    evidence = sum(match.gain for match in found)
+    evidence -= cost(explanation, largest_offset_s, image_size_px)
+    return _also(refiner, _Judged(explanation, found, evidence), image_size_px)
 
 
 def _also(refiner: Refiner, one: _Judged, image_size_px: tuple[int, int]) -> _Judged:

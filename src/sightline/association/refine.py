@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.association.search import Candidate, Watch, clutter_per_px2
+from sightline.association.search import Candidate, Watch, clutter_per_px2, offset_step_s
 from sightline.camera.parameters import (
     CAMERA,
     EAST,
@@ -157,6 +157,37 @@ class Refiner:
             if widen < 2.5:
                 noise = self._noise(state, noise, float(widen))
         return self._alike(self.explain(state, noise))
+
+    def at_another_clock(self, known: Explanation, apart_s: float) -> Candidate | None:
+        """The camera of an explanation at the next best clock, None where there is none.
+
+        Candidates differ in where they look, and each has but the clock with the most votes. A
+        vessel that goes to and fro, or round and round, goes as its log says at more than one.
+
+        Args:
+            known: The explanation.
+            apart_s: So far from its clock another one begins.
+        """
+        step_s = offset_step_s(self.watches)
+        steps = int(2.0 * self.largest_offset_s / step_s) + 1
+        moved_s = step_s * np.arange(-steps, steps + 1)
+        score = np.zeros(moved_s.size)
+        for i, moved in enumerate(moved_s):
+            offset_s = known.offset_s + moved
+            if (np.abs(offset_s) > self.largest_offset_s).any():
+                continue
+            state = np.concatenate([known.vector, offset_s])
+            self._choose(state)
+            for index in range(len(self.watches)):
+                found = self._predict(state, index, known.noise)
+                score[i] += self._shares(found, index, 1.0)[2]
+        # The flanks of a clock that slow vessels leave wide are no clocks of their own.
+        peak = (score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:]) & (score[1:-1] > 0.0)
+        peak &= np.abs(moved_s[1:-1]) > apart_s
+        if not peak.any():
+            return None
+        best = 1 + int(np.argmax(np.where(peak, score[1:-1], 0.0)))
+        return Candidate(known.vector, known.offset_s + moved_s[best], float(score[best]))
 
     def _alike(self, found: Explanation) -> Explanation:
         """With the clocks that stray tried again where the others are; the likelier one stays.

@@ -105,6 +105,12 @@ def clutter_per_px2(seen: Observations, image_size_px: tuple[int, int]) -> Float
     return np.asarray((smooth[at[:, 0], at[:, 1]] + 0.2 * uniform) / moments)
 
 
+def offset_step_s(watches: Sequence[Watch]) -> float:
+    """How finely clocks are tried: more coarsely with a whole feed, whose many vessels vote."""
+    few = max(len(watch.paths) for watch in watches) < 8
+    return OFFSET_STEP_S if few else 2.0 * OFFSET_STEP_S
+
+
 def candidates(
     watches: Sequence[Watch],
     image_size_px: tuple[int, int],
@@ -120,8 +126,7 @@ def candidates(
         largest_offset_s: How far clocks may be off.
         count: How many.
     """
-    # With a whole feed many vessels vote, so that a coarser clock will do.
-    step_s = OFFSET_STEP_S if max(len(watch.paths) for watch in watches) < 8 else 2 * OFFSET_STEP_S
+    step_s = offset_step_s(watches)
     steps = int(np.ceil(largest_offset_s / step_s))
     offsets = step_s * np.arange(-steps, steps + 1)
     lenses = [(f * image_size_px[0], k) for f in _FOCAL_WIDTHS for k in _K1]
