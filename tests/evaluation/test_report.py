@@ -160,6 +160,10 @@ def test_a_scrap_of_a_track_near_the_target_is_not_taken_for_it() -> None:
     report = evaluate_tracks([track_off(1, 4.0), scrap], log_between(0, 60))
     assert report.tracks is not None
     assert report.tracks.used == (1,)
+    # Nor where its ellipses hold the log and those of the long track do not.
+    far = evaluate_tracks([track_off(1, 30.0), scrap], log_between(0, 60))
+    assert far.tracks is not None
+    assert far.tracks.used == (1,)
     alone = evaluate_tracks([scrap], log_between(0, 60))
     assert alone.tracks is not None
     assert alone.tracks.used == (9,)

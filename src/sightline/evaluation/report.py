@@ -405,11 +405,12 @@ def _nearest(candidates: Mapping[int, ScoredPairs], least_overlap_s: float) -> l
         return []
     overlap = {number: float(np.ptp(pairs.time_utc_s)) for number, pairs in candidates.items()}
     least = min(least_overlap_s, max(overlap.values()))
+    long_enough = [number for number in candidates if overlap[number] >= least]
     # What crosses the log for a moment is nearer to it then than the target itself.
-    agreeing = [number for number, pairs in candidates.items() if _agrees(pairs)]
+    agreeing = [number for number in long_enough if _agrees(candidates[number])]
     if agreeing:
-        least = max(least, _AS_LONG * max(overlap[number] for number in agreeing))
-    long_enough = [number for number in agreeing or candidates if overlap[number] >= least]
+        least = _AS_LONG * max(overlap[number] for number in agreeing)
+        long_enough = [number for number in agreeing if overlap[number] >= least]
     return [min(long_enough, key=lambda number: float(np.median(candidates[number].error_m)))]
 
 
