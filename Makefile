@@ -1,5 +1,6 @@
 PYTHON ?= python3
 TEST_WORKERS ?= 2
+FAULTS ?= 20
 
 # Another Python has an environment of its own, such as .venv-python3.12, so that what was asked for
 # is what runs.
@@ -18,7 +19,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast test-train check licences format bench docs gallery constraints clean
+.PHONY: help demo test test-fast test-train check mutate licences format bench docs gallery constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -38,6 +39,10 @@ test-fast: $(DEV)  ## the same without the slow ones, those that failed last tim
 test-train: $(TRAIN)  ## install what trains detectors, train each for some steps on the CPU
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 		$(BIN)/python -m pytest -n $(TEST_WORKERS) tests/training
+
+mutate: $(DEV)  ## plant small faults in the maths, say which no test notices (FAULTS=20 a package)
+	$(BIN)/python tools/mutate.py --count $(FAULTS) --workers $(TEST_WORKERS) \
+		camera georeferencing trajectory tracking evaluation
 
 check: $(DEV)  ## what does not need running: style, format, types, direction of imports
 	$(BIN)/ruff check
