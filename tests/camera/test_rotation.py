@@ -18,7 +18,7 @@ from sightline.camera.motion import CameraMotionWatch
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
 from sightline.camera.rotation import CameraRotation, compensate_rotation, seen_again, widen
-from sightline.camera.static_intervals import StanceWatch
+from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.errors import InputError, ModelFileError
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.evaluate import place_boxes, score
@@ -141,7 +141,7 @@ def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: 
     (turn,) = noticed
     assert np.isnan(turn.heading_deg)
     assert 1020.0 < turn.time_utc_s < 1040.0
-    found = CameraRotation.of(watch.stances, level)
+    found = CameraRotation.of(watch.static_intervals, level)
     assert found is not None
     assert found.heading_known.tolist() == [True, False]
     assert found.angles_deg[1, 1:] == pytest.approx([-1.0, 0.0], abs=0.05)
@@ -159,7 +159,7 @@ def test_nothing_is_turned_where_only_waves_move() -> None:
     for seed in range(5):
         watch = CameraMotionWatch((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
         assert [watch.update(f) for f in sea((0.0, 0.0), seed)] == [None] * 40
-        assert CameraRotation.of(watch.stances, level) is None
+        assert CameraRotation.of(watch.static_intervals, level) is None
 
 
 @dataclass(frozen=True)
@@ -340,11 +340,11 @@ def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
     fitted = sightline.fit(scene, "camera")
     assert fitted.camera is not None
     assert fitted.view is not None
-    watches = {mirrored: StanceWatch() for mirrored in (False, True)}
+    watches = {mirrored: StaticIntervalMonitor() for mirrored in (False, True)}
     for frame in scene[name].frames(apart_s=1.0):
         watches[False].observe(frame)
         watches[True].observe(replace(frame, image_bgr=frame.image_bgr[:, ::-1].copy()))
-    shore = {mirrored: watch.stances for mirrored, watch in watches.items()}
+    shore = {mirrored: watch.static_intervals for mirrored, watch in watches.items()}
     assert shore[False]
     assert shore[True]
     assert seen_again(fitted.view, shore[False][0].view, fitted.camera)

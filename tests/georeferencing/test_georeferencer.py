@@ -15,7 +15,7 @@ from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.support import Support
 from sightline.scene import Scene
-from sightline.scene.camera_state import scene_stances
+from sightline.scene.camera_state import scene_static_intervals
 from sightline.scene.correspondences import scene_pairs
 from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
 
@@ -37,7 +37,9 @@ def box_at(*feet: tuple[float, float]) -> np.ndarray:
 
 def learn(model: str, pairs: Pairs, scene: Scene) -> Georeferencer:
     return fit(
-        FitInputs(pairs, (1280, 720), scene.control_points, stances=scene_stances(scene)),
+        FitInputs(
+            pairs, (1280, 720), scene.control_points, static_intervals=scene_static_intervals(scene)
+        ),
         FitSettings(model),
     )
 

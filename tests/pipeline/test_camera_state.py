@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from sightline import Georeferencer, Scene, fit
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
 from sightline.camera.rotation import CameraRotation
 from sightline.camera.state import ObservedBoxes
-from sightline.camera.static_intervals import StanceWatch
+from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.formats import read_clock
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.camera_state import CameraMotionMonitor, camera_turns
@@ -55,8 +55,12 @@ class Fitted:
     def check_water(self, given: bool, _where: str = "") -> None:
         assert not given
 
-    def rotation_in(self, stances: Sequence[Stance]) -> CameraRotation | None:
-        return None if self.camera is None else CameraRotation.of(stances, self.camera, self.view)
+    def rotation_in(self, static_intervals: Sequence[StaticInterval]) -> CameraRotation | None:
+        return (
+            None
+            if self.camera is None
+            else CameraRotation.of(static_intervals, self.camera, self.view)
+        )
 
     def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
         assert not len(boxes), "there are no boxes to place"
@@ -159,10 +163,10 @@ def test_a_turn_of_a_pixel_and_a_half_is_seen_and_measured() -> None:
 
 
 def view_of(frames: Iterator[Frame]) -> View:
-    watch = StanceWatch()
+    watch = StaticIntervalMonitor()
     for frame in frames:
         watch.observe(frame)
-    return watch.stances[0].view
+    return watch.static_intervals[0].view
 
 
 def at_night(frames: Iterator[Frame]) -> Iterator[Frame]:

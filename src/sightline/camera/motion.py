@@ -68,12 +68,12 @@ class CameraTurn:
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
+class StaticInterval:
     """A time in which the camera stood still, and what it saw.
 
     Attributes:
         before_utc_s: Time of the last picture looked at in which it did not stand so yet; minus
-            infinity for the first stance.
+            infinity for the first static_interval.
         since_utc_s: Time of the first picture in which it did; minus infinity for the first.
         view: What it saw.
     """
@@ -144,10 +144,10 @@ class CameraMotionWatch:
         self._recent: deque[tuple[float, FloatArray, NDArray[np.uint8]]] = deque()
         self._before_s, self._settled_s = -np.inf, -np.inf
         self._since, self._landmarks = (-np.inf, -np.inf), True
-        self._past: list[Stance] = []
+        self._past: list[StaticInterval] = []
 
     @property
-    def stances(self) -> tuple[Stance, ...]:
+    def static_intervals(self) -> tuple[StaticInterval, ...]:
         """How the camera stood so far, in the order of time; none before the first reference."""
         if self._reference is None:
             return ()
@@ -243,7 +243,7 @@ class CameraMotionWatch:
         return again if agree(again[None, :, :2], *consensus(again[:, :2])) else moved
 
     def _learn(self, look: tuple[float, FloatArray, NDArray[np.uint8]]) -> None:
-        """Make the reference of a stance that has just begun better by one more picture."""
+        """Make the reference of a static_interval that has just begun better by one more picture."""
         _, moved, strips = look
         if (
             len(self._sample) >= self._count
@@ -291,8 +291,8 @@ class CameraMotionWatch:
             since_utc_s=since_s,
         )
 
-    def _stance(self, reference: NDArray[np.uint8]) -> Stance:
-        return Stance(*self._since, View(reference, self._top, self._left, self._landmarks))
+    def _stance(self, reference: NDArray[np.uint8]) -> StaticInterval:
+        return StaticInterval(*self._since, View(reference, self._top, self._left, self._landmarks))
 
     def _strips(self, image_bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
         parts = [

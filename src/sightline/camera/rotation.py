@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import Displacement, View, displacement
 from sightline.camera.static_intervals import least_turn_deg
@@ -38,14 +38,14 @@ _NO_SUCH_TURN_PX = 1e4
 
 @dataclass(frozen=True, eq=False)
 class CameraRotation:
-    """How a camera lay in the K stances of a recording, against the camera of a model.
+    """How a camera lay in the K static_intervals of a recording, against the camera of a model.
 
     A turn is a rotation vector: by it, in radians, what stands still has turned about the camera's
     axes to the right, downwards and forward.
 
     Attributes:
-        before_utc_s: (K,) time of the last look before the stance; minus infinity for the first.
-        since_utc_s: (K,) time of the first look of the stance; minus infinity for the first.
+        before_utc_s: (K,) time of the last look before the static_interval; minus infinity for the first.
+        since_utc_s: (K,) time of the first look of the static_interval; minus infinity for the first.
         rotation_rad: (K, 3).
         covariance_rad2: (K, 3, 3).
         heading_known: (K,) bool, whether the turn about the vertical was seen.
@@ -66,7 +66,7 @@ class CameraRotation:
     @classmethod
     def of(
         cls,
-        stances: Sequence[Stance],
+        static_intervals: Sequence[StaticInterval],
         camera: Camera,
         reference: View | None = None,
         *,
@@ -75,25 +75,25 @@ class CameraRotation:
         """The turns of a recording; None where the camera was not turned, or nothing tells.
 
         Args:
-            stances: Of the recording.
+            static_intervals: Of the recording.
             camera: Of the model.
             reference: What the camera of the model saw; None, or not to be compared: the first
-                stance is taken to be the model's.
+                static_interval is taken to be the model's.
             focal_log_sigma: Of the camera.
         """
-        if not stances:
+        if not static_intervals:
             return None
-        first = None if reference is None else _turn(reference, stances[0].view, camera)
+        first = None if reference is None else _turn(reference, static_intervals[0].view, camera)
         if reference is None or first is None:
-            reference = stances[0].view
+            reference = static_intervals[0].view
         rotations, covariances, known = [np.zeros(3)], [np.zeros((3, 3))], [True]
         turned = False
-        for k, stance in enumerate(stances):
-            told = first if k == 0 else _turn(reference, stance.view, camera)
+        for k, static_interval in enumerate(static_intervals):
+            told = first if k == 0 else _turn(reference, static_interval.view, camera)
             start, doubt = np.zeros(3), np.zeros((3, 3))
             if told is None and k:
-                # Too far from the model's to be compared: from one stance to the next.
-                told = _turn(stances[k - 1].view, stance.view, camera)
+                # Too far from the model's to be compared: from one static_interval to the next.
+                told = _turn(static_intervals[k - 1].view, static_interval.view, camera)
                 start, doubt = rotations[k], covariances[k]
             if told is None:
                 # It was turned, and nobody knows how; the first is taken for the model's.
@@ -112,8 +112,12 @@ class CameraRotation:
         if not turned:
             return None
         return cls(
-            before_utc_s=np.array([stance.before_utc_s for stance in stances]),
-            since_utc_s=np.array([stance.since_utc_s for stance in stances]),
+            before_utc_s=np.array(
+                [static_interval.before_utc_s for static_interval in static_intervals]
+            ),
+            since_utc_s=np.array(
+                [static_interval.since_utc_s for static_interval in static_intervals]
+            ),
             rotation_rad=np.array(rotations[1:]),
             covariance_rad2=np.array(covariances[1:]),
             heading_known=np.array(known[1:]),
@@ -146,12 +150,12 @@ class CameraRotation:
         NaN between the last look before a turn and the first one after it, when nobody knows how
         the camera lay.
         """
-        stance = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
-        after = np.append(self.before_utc_s[1:], np.inf)[stance]
+        static_interval = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
+        after = np.append(self.before_utc_s[1:], np.inf)[static_interval]
         sure = time_utc_s <= after
         return (
-            np.where(sure[:, None], self.rotation_rad[stance], np.nan),
-            self.covariance_rad2[stance],
+            np.where(sure[:, None], self.rotation_rad[static_interval], np.nan),
+            self.covariance_rad2[static_interval],
         )
 
     def sentences(self) -> tuple[str, ...]:
@@ -183,7 +187,7 @@ class CameraRotation:
         return tuple(out)
 
     def _is_small(self, k: int) -> bool:
-        """Whether a stance is that of the model, as far as turns count."""
+        """Whether a static_interval is that of the model, as far as turns count."""
         rotation, covariance = self.rotation_rad[k], self.covariance_rad2[k]
         told = np.sqrt(covariance[0, 0]) < 0.5 * np.radians(_UNSEEN_DEG)
         return bool(told and not _is_turn(rotation, covariance, self.camera))
@@ -319,14 +323,14 @@ def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatA
     )
 
 
-def reference_view(stances: Mapping[str, Sequence[Stance]]) -> View | None:
+def reference_view(static_intervals: Mapping[str, Sequence[StaticInterval]]) -> View | None:
     """The view with which most others can be compared; the latest that half of them can be.
 
     Args:
-        stances: By recording.
+        static_intervals: By recording.
     """
-    ordered = sorted(stances.values(), key=_when)
-    views = [stance.view for one in ordered for stance in one][::-1]
+    ordered = sorted(static_intervals.values(), key=_when)
+    views = [static_interval.view for one in ordered for static_interval in one][::-1]
     best: tuple[int, View] | None = None
     for view in views:
         others = sum(displacement(view, other) is not None for other in views)
@@ -337,5 +341,5 @@ def reference_view(stances: Mapping[str, Sequence[Stance]]) -> View | None:
     return None if best is None else best[1]
 
 
-def _when(stances: Sequence[Stance]) -> float:
-    return stances[-1].since_utc_s
+def _when(static_intervals: Sequence[StaticInterval]) -> float:
+    return static_intervals[-1].since_utc_s

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
@@ -43,7 +43,7 @@ class FitInputs:
         moving: Whether the camera is on a platform that moves; places are then starboard and ahead.
         tidal: Whether every recording tells how high the water stood.
         horizons: By recording, where the horizon lay in its frames; of a camera that rolls.
-        stances: By recording, how a camera that ought to stand still stood in it.
+        static_intervals: By recording, how a camera that ought to stand still stood in it.
         landmarks: Pixels whose place is known roughly.
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
@@ -57,7 +57,7 @@ class FitInputs:
     moving: bool = False
     tidal: bool = False
     horizons: Mapping[str, Horizons] = field(default_factory=dict)
-    stances: Mapping[str, Sequence[Stance]] = field(default_factory=dict)
+    static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     asked: Mapping[str, int] = field(default_factory=dict)
     name: str = "the scene"
@@ -70,7 +70,9 @@ class FitInputs:
             self,
             correspondences=replace(kept, asked=pairs.asked - self.asked.get(recording, 0)),
             horizons={name: own for name, own in self.horizons.items() if name != recording},
-            stances={name: own for name, own in self.stances.items() if name != recording},
+            static_intervals={
+                name: own for name, own in self.static_intervals.items() if name != recording
+            },
         )
 
 
@@ -134,7 +136,7 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
             "recording boxes and fixes, or [[control_points]]"
         )
     horizon = _typical_horizon(list(inputs.horizons.values()))
-    view = reference_view(inputs.stances)
+    view = reference_view(inputs.static_intervals)
     known = _Knowledge()
     while True:
         fitted = _fit_once(inputs, _prepared(inputs, known, horizon), kind, settings)
@@ -172,7 +174,7 @@ def _told(
     if known.rotations is None and view is not None:
         rotations = {
             name: found
-            for name, own in inputs.stances.items()
+            for name, own in inputs.static_intervals.items()
             if (found := fitted.rotation_in(own, view)) is not None
         }
         if rotations:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.parameters import LOG_FOCAL
 from sightline.camera.pinhole import Camera
 from sightline.camera.registration import View
@@ -291,12 +291,12 @@ class Georeferencer:
         return LocatedBoxes.at(plain, positions)
 
     def rotation_in(
-        self, stances: Sequence[Stance], view: View | None = None
+        self, static_intervals: Sequence[StaticInterval], view: View | None = None
     ) -> CameraRotation | None:
-        """How the camera lay in the stances of a recording, against how it lies for the model.
+        """How the camera lay in the static_intervals of a recording, against how it lies for the model.
 
         Args:
-            stances: Of the recording.
+            static_intervals: Of the recording.
             view: What the camera of the model saw. Absent: the model's own view.
 
         Returns:
@@ -308,7 +308,7 @@ class Georeferencer:
             return None
         focal_log_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
         return CameraRotation.of(
-            stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
+            static_intervals, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.parameters import (
     CAMERA,
     HEADING,
@@ -118,7 +118,7 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
 
 
 def lies_since(
-    model: Georeferencer, pairs: Pairs, stances: Mapping[str, Sequence[Stance]]
+    model: Georeferencer, pairs: Pairs, static_intervals: Mapping[str, Sequence[StaticInterval]]
 ) -> Since:
     """Whether a camera was turned since its model was fitted.
 
@@ -128,7 +128,7 @@ def lies_since(
     Args:
         model: With a camera.
         pairs: Boxes and places of a new day, in the model's plane.
-        stances: How the camera stood in the new day's recordings, by their names.
+        static_intervals: How the camera stood in the new day's recordings, by their names.
 
     Raises:
         InputError: The model has no camera.
@@ -138,7 +138,7 @@ def lies_since(
     assert camera is not None, "refused by `moved_since`"
     seen = {
         name: own
-        for name, own in stances.items()
+        for name, own in static_intervals.items()
         if own and view is not None and seen_again(view, own[0].view, camera)
     }
     said = []

@@ -28,7 +28,7 @@ from sightline.logged_path import LoggedPath
 from sightline.pipeline.fit import fit
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
-from sightline.scene.camera_state import scene_stances
+from sightline.scene.camera_state import scene_static_intervals
 from sightline.scene.correspondences import levels_at, scene_pairs
 from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.synchronisation import check_overlap
@@ -233,7 +233,7 @@ def fit_association(
         image_size_px=scene.image_size_px,
         control_points=scene.control_points,
         tidal=scene.tidal,
-        stances=scene_stances(scene),
+        static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
         name=str(scene.path),
     )
@@ -337,8 +337,8 @@ def update_scene(
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
-    stances = scene_stances(scene, progress)
-    now = lies_since(old, pairs, stances)
+    static_intervals = scene_static_intervals(scene, progress)
+    now = lies_since(old, pairs, static_intervals)
     prior = replace(
         prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,
@@ -352,7 +352,7 @@ def update_scene(
         control_points=scene.control_points,
         moving=scene.moves,
         tidal=scene.tidal,
-        stances=stances,
+        static_intervals=static_intervals,
         landmarks=landmarks,
         name=str(scene.path),
     )

@@ -12,7 +12,7 @@ from sightline.georeferencing.correspondences import Pairs
 from sightline.georeferencing.fit import FitInputs
 from sightline.platform import to_bow, turned
 from sightline.progress import Progress
-from sightline.scene.camera_state import scene_horizons, scene_stances
+from sightline.scene.camera_state import scene_horizons, scene_static_intervals
 from sightline.scene.scene import Recording, Scene
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap, synchronise
 from sightline.types import Boxes, FloatArray
@@ -57,7 +57,7 @@ def collect(
         moving=scene.moves,
         tidal=scene.tidal,
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
-        stances=scene_stances(scene, progress) if pictures and anything else {},
+        static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         asked=asked,
         name=str(scene.path),
     )
