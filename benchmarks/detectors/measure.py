@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from sightline.atomic import atomic_path
-from sightline.detection import DetectorOptions, OnnxDetector, ViewSettings, detector_by_name
+from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings, detector_by_name
 from sightline.evaluation.detection import pooled, score_detections
 from sightline.formats.labels import Margin
 from sightline.scene import Scene
@@ -85,7 +85,7 @@ def detector_of(file: str, classes: str = "", views: str = "") -> Timed:
         provider="cpu",
         threshold=0.001,
         classes=tuple(classes.split(",")) if classes else None,
-        views=ViewSettings(kind=views) if views else None,
+        views=TilingSettings(kind=views) if views else None,
         threads=1,
     )
     detector = detector_by_name(file, options=options)

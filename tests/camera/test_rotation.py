@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 import sightline
 from sightline import Georeferencer, Scene
-from sightline.camera.motion import CameraMotionWatch
+from sightline.camera.motion import CameraMotionDetector
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, seen_again, widen
 from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.errors import InputError, ModelFileError
@@ -135,7 +135,7 @@ def sea(turn_px: tuple[float, float], seed: int, *, duration_s: int = 40) -> Ite
 @pytest.mark.parametrize("seed", range(3))
 def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: int) -> None:
     level = Camera(5.0, 0.0, 0.0, 0.0, 900.0, 0.0, 0.0, 0.0, 0.0, (640, 360))
-    watch = CameraMotionWatch((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
+    watch = CameraMotionDetector((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
     shift_px = 900.0 * np.tan(np.radians(1.0))
     noticed = [one for f in sea((12.0, shift_px), seed) if (one := watch.update(f)) is not None]
     (turn,) = noticed
@@ -157,7 +157,7 @@ def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: 
 def test_nothing_is_turned_where_only_waves_move() -> None:
     level = Camera(5.0, 0.0, 0.0, 0.0, 900.0, 0.0, 0.0, 0.0, 0.0, (640, 360))
     for seed in range(5):
-        watch = CameraMotionWatch((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
+        watch = CameraMotionDetector((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
         assert [watch.update(f) for f in sea((0.0, 0.0), seed)] == [None] * 40
         assert CameraRotation.of(watch.static_intervals, level) is None
 
@@ -297,7 +297,7 @@ def test_a_model_remembers_what_stands_still(world: World, tmp_path: Path) -> No
 
 def test_a_view_without_places_is_refused() -> None:
     with pytest.raises(InputError, match="each with its row"):
-        View(np.zeros((3, 4, 4), np.uint8), np.zeros(2, np.int64), np.zeros(3, np.int64))
+        ReferenceView(np.zeros((3, 4, 4), np.uint8), np.zeros(2, np.int64), np.zeros(3, np.int64))
 
 
 def test_a_knock_turns_the_simulated_camera_and_the_sky_stays(world: World) -> None:

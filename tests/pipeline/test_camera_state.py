@@ -15,7 +15,7 @@ import pytest
 from sightline import Georeferencer, Scene, fit
 from sightline.camera.motion import StaticInterval
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation
 from sightline.camera.state import ObservedBoxes
 from sightline.camera.static_intervals import StaticIntervalMonitor
@@ -49,7 +49,7 @@ class Fitted:
     moving: bool = False
     image_size_px: tuple[int, int] = SIZE_PX
     horizon_px: None = None
-    view: View | None = None
+    view: ReferenceView | None = None
     plane: LocalPlane = field(default_factory=lambda: LocalPlane(54.3, 10.1))
 
     def check_water(self, given: bool, _where: str = "") -> None:
@@ -162,7 +162,7 @@ def test_a_turn_of_a_pixel_and_a_half_is_seen_and_measured() -> None:
     assert START_S + 12.0 < turn.time_utc_s < START_S + 20.0
 
 
-def view_of(frames: Iterator[Frame]) -> View:
+def view_of(frames: Iterator[Frame]) -> ReferenceView:
     watch = StaticIntervalMonitor()
     for frame in frames:
         watch.observe(frame)

@@ -23,7 +23,7 @@ from sightline.camera.registration import (
     HALF_HEIGHT_PX,
     HALF_STORED_PX,
     NOWHERE,
-    View,
+    ReferenceView,
     agree,
     coarse_shift,
     consensus,
@@ -80,10 +80,10 @@ class StaticInterval:
 
     before_utc_s: float
     since_utc_s: float
-    view: View
+    view: ReferenceView
 
 
-class CameraMotionWatch:
+class CameraMotionDetector:
     """Watches the pictures of a camera that ought to stand still.
 
     The reference is made from the first pictures, and after a turn anew from those that show it.
@@ -107,7 +107,7 @@ class CameraMotionWatch:
         least_deg: float = 0.2,
         lasts_s: float = 3.0,
         reference_frames: int = 15,
-        like: View | None = None,
+        like: ReferenceView | None = None,
     ) -> None:
         if not (focal_px > 0.0 and least_deg > 0.0 and lasts_s >= 0.0 and reference_frames >= 1):
             raise InputError(
@@ -292,7 +292,9 @@ class CameraMotionWatch:
         )
 
     def _stance(self, reference: NDArray[np.uint8]) -> StaticInterval:
-        return StaticInterval(*self._since, View(reference, self._top, self._left, self._landmarks))
+        return StaticInterval(
+            *self._since, ReferenceView(reference, self._top, self._left, self._landmarks)
+        )
 
     def _strips(self, image_bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
         parts = [

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.camera.motion import StaticInterval
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import Displacement, View, displacement
+from sightline.camera.registration import Displacement, ReferenceView, displacement
 from sightline.camera.static_intervals import least_turn_deg
 from sightline.types import BoolArray, FloatArray, Positions, rfc3339
 
@@ -68,7 +68,7 @@ class CameraRotation:
         cls,
         static_intervals: Sequence[StaticInterval],
         camera: Camera,
-        reference: View | None = None,
+        reference: ReferenceView | None = None,
         *,
         focal_log_sigma: float = 0.0,
     ) -> CameraRotation | None:
@@ -257,7 +257,7 @@ def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bo
     return bool(moved_rad >= np.radians(least_turn_deg(camera.focal_px)) and sure.any())
 
 
-def seen_again(reference: View, other: View, camera: Camera) -> bool:
+def seen_again(reference: ReferenceView, other: ReferenceView, camera: Camera) -> bool:
     """Whether one view shows what stood still in another, wherever it lies in it now.
 
     Args:
@@ -269,7 +269,7 @@ def seen_again(reference: View, other: View, camera: Camera) -> bool:
 
 
 def _turn(
-    reference: View, other: View, camera: Camera
+    reference: ReferenceView, other: ReferenceView, camera: Camera
 ) -> tuple[FloatArray, FloatArray, bool] | None:
     """As `_rotation`, from one view to another, and whether landmarks tell it."""
     moved = displacement(reference, other)
@@ -323,7 +323,9 @@ def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatA
     )
 
 
-def reference_view(static_intervals: Mapping[str, Sequence[StaticInterval]]) -> View | None:
+def reference_view(
+    static_intervals: Mapping[str, Sequence[StaticInterval]],
+) -> ReferenceView | None:
     """The view with which most others can be compared; the latest that half of them can be.
 
     Args:
@@ -331,7 +333,7 @@ def reference_view(static_intervals: Mapping[str, Sequence[StaticInterval]]) -> 
     """
     ordered = sorted(static_intervals.values(), key=_when)
     views = [static_interval.view for one in ordered for static_interval in one][::-1]
-    best: tuple[int, View] | None = None
+    best: tuple[int, ReferenceView] | None = None
     for view in views:
         others = sum(displacement(view, other) is not None for other in views)
         if others >= _ENOUGH * len(views):

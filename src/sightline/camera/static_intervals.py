@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.camera.motion import CameraMotionWatch, StaticInterval
+from sightline.camera.motion import CameraMotionDetector, StaticInterval
 from sightline.types import Frame
 
 LOOKS_APART_S = 1.0
@@ -33,7 +33,7 @@ class StaticIntervalMonitor:
 
     def __init__(self) -> None:
         """Begin without a picture."""
-        self._watch: CameraMotionWatch | None = None
+        self._watch: CameraMotionDetector | None = None
         self._size: tuple[int, ...] | None = None
         self._next_s = -np.inf
 
@@ -47,9 +47,9 @@ class StaticIntervalMonitor:
         size = frame.image_bgr.shape[1::-1]
         if self._size is None:
             self._size = size
-            if CameraMotionWatch.fits((size[0], size[1])):
+            if CameraMotionDetector.fits((size[0], size[1])):
                 focal_px = _NOMINAL_FOCAL_WIDTHS * size[0]
-                self._watch = CameraMotionWatch(
+                self._watch = CameraMotionDetector(
                     None,
                     focal_px,
                     least_deg=least_turn_deg(focal_px),

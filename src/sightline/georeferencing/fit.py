@@ -11,7 +11,7 @@ from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.errors import FitError
@@ -162,7 +162,7 @@ def _told(
     inputs: FitInputs,
     known: _Knowledge,
     horizon: tuple[float, float] | None,
-    view: View | None,
+    view: ReferenceView | None,
 ) -> _Knowledge:
     """What is known after a fit; the same object where it told nothing of a new kind."""
     camera = fitted.camera

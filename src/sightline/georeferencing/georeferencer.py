@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from sightline.camera.motion import StaticInterval
 from sightline.camera.parameters import LOG_FOCAL
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, widen
 from sightline.camera.stabilisation import nominal_camera, stabilise
 from sightline.camera.state import ObservedBoxes
@@ -77,7 +77,7 @@ class Georeferencer:
     report: FitReport
     horizon_px: tuple[float, float] | None = None
     moving: bool = False
-    view: View | None = None
+    view: ReferenceView | None = None
     water_level_m: float | None = None
 
     @property
@@ -291,7 +291,7 @@ class Georeferencer:
         return LocatedBoxes.at(plain, positions)
 
     def rotation_in(
-        self, static_intervals: Sequence[StaticInterval], view: View | None = None
+        self, static_intervals: Sequence[StaticInterval], view: ReferenceView | None = None
     ) -> CameraRotation | None:
         """How the camera lay in the static_intervals of a recording, against how it lies for the model.
 
@@ -400,14 +400,14 @@ def _moved(boxes: ObservedBoxes, xyxy_px: FloatArray, known: BoolArray) -> Obser
     return ObservedBoxes.at(chosen.boxes.with_columns(xyxy_px=xyxy_px[rows]), chosen.state)
 
 
-def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:
+def _view(tensors: dict[str, Any], landmarks: bool) -> ReferenceView | None:
     if "view.strips" not in tensors:
         return None
     strips, *places = (np.asarray(tensors[f"view.{name}"]) for name in _VIEW)
     if strips.dtype != np.uint8:
         raise ValueError("its view is no picture")
     top_px, left_px = (place.astype(np.int64) for place in places)
-    return View(strips, top_px, left_px, landmarks)
+    return ReferenceView(strips, top_px, left_px, landmarks)
 
 
 def _finite(value: Any) -> float | None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.camera.motion import CameraMotionWatch, CameraTurn, StaticInterval
+from sightline.camera.motion import CameraMotionDetector, CameraTurn, StaticInterval
 from sightline.camera.rotation import seen_again
 from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.camera.static_intervals import LOOKS_APART_S, LOOKS_OF_REFERENCE, least_turn_deg
@@ -190,16 +190,16 @@ def _last_s(boxes: Boxes) -> float:
     return float(boxes.time_utc_s.max(initial=-np.inf))
 
 
-def _watch(model: Georeferencer) -> CameraMotionWatch | None:
+def _watch(model: Georeferencer) -> CameraMotionDetector | None:
     camera = model.camera
-    if camera is None or model.moving or not CameraMotionWatch.fits(model.image_size_px):
+    if camera is None or model.moving or not CameraMotionDetector.fits(model.image_size_px):
         return None
     width, height = model.image_size_px
     rows: FloatArray = camera.horizon_y_px(np.linspace(0.0, width, _COLUMNS))
     seen = np.isfinite(rows).all() and (rows > 0.0).all() and (rows < height).all()
     if model.view is None and not seen:
         return None
-    return CameraMotionWatch(
+    return CameraMotionDetector(
         rows if seen else None,
         float(camera.focal_px),
         least_deg=least_turn_deg(float(camera.focal_px)),
