@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from sightline.camera.calibration import CameraFit, fit_camera
-from sightline.camera.observations import Sightings
+from sightline.camera.observations import PointCorrespondences
 from sightline.camera.parameters import CAMERA, HEADING, LOG_FOCAL, PARAMETERS, PITCH, TARGET
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, PixelNoise, SourceBelief
@@ -26,7 +26,7 @@ class World:
     """A planted camera and what it sees of targets whose place is known."""
 
     camera: Camera
-    sightings: Sightings
+    sightings: PointCorrespondences
     hull_m: FloatArray
     bias: FloatArray
     clock_s: FloatArray
@@ -119,7 +119,7 @@ def plant(
     log += rng.normal(0.0, noise.place_m, (n, 2))
     return World(
         camera,
-        Sightings(
+        PointCorrespondences(
             pixel_px=pixel,
             east_m=log[:, 0],
             north_m=log[:, 1],
@@ -337,7 +337,7 @@ def test_outliers_are_flagged_and_do_not_pull_the_camera() -> None:
 def test_too_few_sightings_are_refused() -> None:
     for n in (0, 2):
         few = plant(0).sightings
-        few = Sightings(*(getattr(few, name)[:n] for name in few.__dataclass_fields__))
+        few = PointCorrespondences(*(getattr(few, name)[:n] for name in few.__dataclass_fields__))
         with pytest.raises(FitError, match=f"{n} pairs of a box and a fix"):
             fit_camera(few, SIZE, n_sources=1)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.recalibration import moved_since
 from sightline.simulation import BoxNoise, Harbour
@@ -15,7 +15,7 @@ from sightline.types import ControlPoints
 def harbour_pairs(harbour, seed_px, times):
     boxes = harbour.boxes(times, noise=BoxNoise(std_px=seed_px, correlation_time_s=1.0))
     truth = harbour.truth(boxes.time_utc_s)
-    return Pairs(
+    return Correspondences(
         boxes=boxes,
         recording=np.full(len(boxes), "one"),
         east_north_m=np.stack([truth.east_m, truth.north_m], axis=1),

@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.association.evidence import Match, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
-from sightline.association.search import Candidate, Watch, candidates
+from sightline.association.search import Candidate, RecordingObservations, candidates
 from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
@@ -76,7 +76,7 @@ class Association:
         statements: Sentences for people.
     """
 
-    watches: tuple[Watch, ...]
+    watches: tuple[RecordingObservations, ...]
     camera: Camera
     found: tuple[Found, ...]
     offset_s: Mapping[str, float]
@@ -94,7 +94,7 @@ class _Judged:
 
 
 def associate(
-    watches: Sequence[Watch],
+    watches: Sequence[RecordingObservations],
     image_size_px: tuple[int, int],
     *,
     largest_offset_s: float = LARGEST_OFFSET_S,
@@ -214,7 +214,7 @@ def _differ(one: _Judged, other: _Judged) -> bool:
 
 
 def _summary(
-    watches: tuple[Watch, ...],
+    watches: tuple[RecordingObservations, ...],
     image_size_px: tuple[int, int],
     best: _Judged,
     runner_up: float,
@@ -280,7 +280,11 @@ def _summary(
 
 
 def _taken(
-    watch: Watch, standard: FloatArray, predicted: FloatArray, match: Match, others: IntArray
+    watch: RecordingObservations,
+    standard: FloatArray,
+    predicted: FloatArray,
+    match: Match,
+    others: IntArray,
 ) -> BoolArray:
     """(M,) which boxes are the vessel's: near its place, or of its tracks in gaps of the log."""
     seen = watch.seen

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 
-from sightline.association.observations import Observations
+from sightline.association.observations import TrackObservations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
-from sightline.association.search import Watch, clutter_per_px2
+from sightline.association.search import RecordingObservations, clutter_per_px2
 from sightline.camera.parameters import HEADING
 from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
@@ -55,7 +55,9 @@ class Match:
     gain: float
 
 
-def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, int]) -> list[Match]:
+def matches(
+    watches: Sequence[RecordingObservations], found: Explanation, size_px: tuple[int, int]
+) -> list[Match]:
     """What an explanation takes for the vessels, the surest first in each recording."""
     out: list[Match] = []
     for index, watch in enumerate(watches):
@@ -76,7 +78,7 @@ def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, in
     return out
 
 
-def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntArray:
+def _rows(seen: TrackObservations, share: FloatArray, predicted: FloatArray) -> IntArray:
     """The observations of the vessel, in the order of time: of tracks that are mostly its own."""
     mine = share > SURE
     if seen.followed:
@@ -89,7 +91,7 @@ def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntAr
 
 
 def _gain(
-    seen: Observations,
+    seen: TrackObservations,
     rows: IntArray,
     predicted: FloatArray,
     density: FloatArray,
@@ -117,7 +119,7 @@ def _gain(
     return total
 
 
-def goes_along(seen: Observations, rows: IntArray, predicted: FloatArray) -> bool:
+def goes_along(seen: TrackObservations, rows: IntArray, predicted: FloatArray) -> bool:
     """Whether a track moves as a log foretells, rather than standing where it passes."""
     rows = rows[np.argsort(seen.time_utc_s[rows], kind="stable")]
     whole = _coefficients(seen.time_utc_s[rows], seen.foot_px[rows])[1:]
@@ -139,7 +141,7 @@ def _coefficients(time_s: FloatArray, path_px: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(basis.T @ basis + rough, basis.T @ path_px))
 
 
-def _density(seen: Observations, size_px: tuple[int, int]) -> FloatArray:
+def _density(seen: TrackObservations, size_px: tuple[int, int]) -> FloatArray:
     """(N,) how likely a box lies where each does, a square pixel."""
     clutter = clutter_per_px2(seen, size_px)
     moments = max(1.0, np.ptp(seen.time_utc_s) / seen.interval_s)

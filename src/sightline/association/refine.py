@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.association.search import Candidate, Watch, clutter_per_px2, offset_step_s
+from sightline.association.search import (
+    Candidate,
+    RecordingObservations,
+    clutter_per_px2,
+    offset_step_s,
+)
 from sightline.camera.parameters import (
     CAMERA,
     EAST,
@@ -123,7 +128,7 @@ class Refiner:
 
     def __init__(
         self,
-        watches: Sequence[Watch],
+        watches: Sequence[RecordingObservations],
         image_size_px: tuple[int, int],
         *,
         largest_offset_s: float,

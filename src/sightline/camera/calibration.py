@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares, minimize
 
 from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
-from sightline.camera.observations import NO_SOURCE, Sightings, _check_enough
+from sightline.camera.observations import NO_SOURCE, PointCorrespondences, _check_enough
 from sightline.camera.parameters import (
     BIAS_M,
     BIAS_PX,
@@ -162,7 +162,7 @@ class CameraFit:
 
 
 def fit_camera(
-    sightings: Sightings,
+    sightings: PointCorrespondences,
     image_size_px: tuple[int, int],
     *,
     n_sources: int,
@@ -269,7 +269,7 @@ class _Problem:
 
     def __init__(
         self,
-        sightings: Sightings,
+        sightings: PointCorrespondences,
         image_size_px: tuple[int, int],
         n_sources: int,
         prior: CameraPrior,

@@ -38,7 +38,7 @@ HEAVE_S = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Sightings of one log whose errors are correlated.
+    """PointCorrespondences of one log whose errors are correlated.
 
     Attributes:
         rows: (n,) int64, which sightings.

@@ -231,7 +231,7 @@ class AbsoluteError:
     """The absolute pose error of section 4.4, of positions (they have no orientation).
 
     Attributes:
-        n: Pairs compared.
+        n: Correspondences compared.
         rmse: Metres; NaN, as all others, where there is no pair.
         mse: Square metres.
         mean: Metres.
@@ -257,7 +257,7 @@ class RelativeError:
 
     Attributes:
         delta_s: Seconds from the one pose of a pair to the other.
-        n: Pairs of poses.
+        n: Correspondences of poses.
         rmse: Metres; NaN, as all others, where there is no pair.
         mse: Square metres.
         mean: Metres.
@@ -282,7 +282,7 @@ class Coverage:
     Attributes:
         p50: Share of the log's positions inside the stated 50 % ellipse; NaN where none is stated.
         p95: The same of the 95 % ellipse.
-        n: Pairs that state a covariance.
+        n: Correspondences that state a covariance.
         log_sigma_m: How far off the log itself is believed to be, metres east and north, root mean
             square; 0 where nobody says.
         p50_with_log: As ``p50``, of ellipses that answer for the log's own error as well.
@@ -321,7 +321,7 @@ class RangeBin:
     Attributes:
         from_m: Metres, included.
         to_m: Metres, excluded; may be infinite.
-        n: Pairs.
+        n: Correspondences.
         rmse: Metres.
         median: Metres.
     """

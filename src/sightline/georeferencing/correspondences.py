@@ -12,7 +12,7 @@ from sightline.types import BoolArray, Boxes, FloatArray, StrArray
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class Correspondences:
     """Boxes with the place of the target at their time, one row a box.
 
     Attributes:

@@ -16,7 +16,7 @@ from sightline.camera.rotation import CameraRotation, compensate_rotation, refer
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit_report import fit_report
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import (
@@ -50,7 +50,7 @@ class FitInputs:
         name: Begins messages: the scene file.
     """
 
-    correspondences: Pairs
+    correspondences: Correspondences
     image_size_px: tuple[int, int]
     control_points: ControlPoints
     position_known: bool = True
@@ -185,7 +185,9 @@ def _told(
     return told
 
 
-def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None) -> Pairs:
+def _prepared(
+    inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None
+) -> Correspondences:
     """Correspondences as a camera would have seen them that lay as it does for the model."""
     pairs = inputs.correspondences
     if known.origin is not None:
@@ -197,11 +199,11 @@ def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float]
 
 
 def _stabilised(
-    pairs: Pairs,
+    pairs: Correspondences,
     horizons: Mapping[str, Horizons],
     horizon_px: tuple[float, float],
     lens: Camera,
-) -> Pairs:
+) -> Correspondences:
     """Correspondences with roll and pitch taken off; those without a horizon are left out."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
@@ -211,7 +213,9 @@ def _stabilised(
     return _moved(pairs, horizons, moved)
 
 
-def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs:
+def _compensated(
+    pairs: Correspondences, rotations: Mapping[str, CameraRotation]
+) -> Correspondences:
     """Correspondences with the camera rotations of their recordings taken off their boxes."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
@@ -222,10 +226,10 @@ def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs
 
 
 def _moved(
-    pairs: Pairs,
+    pairs: Correspondences,
     recordings: Iterable[str],
     move: Callable[[str, Boxes], tuple[FloatArray, BoolArray]],
-) -> Pairs:
+) -> Correspondences:
     """Correspondences with the boxes of some recordings moved; those that cannot be are left out.
 
     Args:
@@ -253,7 +257,7 @@ def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None
 
 
 def _fit_once(
-    inputs: FitInputs, pairs: Pairs, kind: ModelType, settings: FitSettings
+    inputs: FitInputs, pairs: Correspondences, kind: ModelType, settings: FitSettings
 ) -> Georeferencer:
     control = inputs.control_points
     east_north_m = np.stack(

@@ -19,7 +19,7 @@ from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
 from sightline.errors import InputError, unknown_name
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.observations import CONTROL_POINT_SIGMA_M, CameraObservations
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel, paper_model
@@ -54,7 +54,7 @@ class Observations:
         source_priors: Of the lower edge of single sources of boxes, by name.
     """
 
-    correspondences: Pairs
+    correspondences: Correspondences
     image_size_px: tuple[int, int]
     control_points: Landmarks
     landmarks: Landmarks

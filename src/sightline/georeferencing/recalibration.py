@@ -29,7 +29,7 @@ from sightline.camera.pinhole import project_with_jacobian
 from sightline.camera.priors import CameraPrior
 from sightline.camera.rotation import seen_again
 from sightline.errors import InputError
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.types import FloatArray
 
@@ -118,7 +118,9 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
 
 
 def lies_since(
-    model: Georeferencer, pairs: Pairs, static_intervals: Mapping[str, Sequence[StaticInterval]]
+    model: Georeferencer,
+    pairs: Correspondences,
+    static_intervals: Mapping[str, Sequence[StaticInterval]],
 ) -> Since:
     """Whether a camera was turned since its model was fitted.
 
@@ -171,7 +173,9 @@ def lies_since(
     return Since(turned=by_pictures or bool(by_boxes), statements=tuple(said))
 
 
-def moved_since(model: Georeferencer, pairs: Pairs, *, alike_s: float = 2.0) -> tuple[Moved, ...]:
+def moved_since(
+    model: Georeferencer, pairs: Correspondences, *, alike_s: float = 2.0
+) -> tuple[Moved, ...]:
     """Where boxes say that the camera was turned; nothing where it was not.
 
     Args:
@@ -197,7 +201,7 @@ def moved_since(model: Georeferencer, pairs: Pairs, *, alike_s: float = 2.0) -> 
     return tuple(out)
 
 
-def _turn(model: Georeferencer, pairs: Pairs, name: str, alike_s: float) -> Moved | None:
+def _turn(model: Georeferencer, pairs: Correspondences, name: str, alike_s: float) -> Moved | None:
     residual, jacobian, sigma, time_s = _residuals(model, pairs)
     standard = residual / sigma
     assert model.camera is not None, "the caller has looked"
@@ -249,7 +253,7 @@ def _huber(standard: FloatArray) -> FloatArray:
 
 
 def _residuals(
-    model: Georeferencer, pairs: Pairs
+    model: Georeferencer, pairs: Correspondences
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Seen minus expected feet, by the turns (N, 2, 3), their spread (N, 2), and times."""
     regressor = model.calibrated

@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
 from sightline.association.observations import observe
-from sightline.association.search import Watch
+from sightline.association.search import RecordingObservations
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourceBelief
@@ -18,7 +18,7 @@ from sightline.camera.shoreline import WaterEdge, find_water_edge
 from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings
 from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
@@ -29,7 +29,7 @@ from sightline.pipeline.fit import fit
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_static_intervals
-from sightline.scene.correspondences import levels_at, scene_pairs
+from sightline.scene.correspondences import levels_at, scene_correspondences
 from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.synchronisation import check_overlap
 from sightline.types import Boxes, FloatArray, IntArray
@@ -157,7 +157,7 @@ def associate_scene(
     tell = progress or (lambda _what, _share: None)
     if seen is None and detector is not None:
         seen = SceneDetections(scene, detector, progress)
-    watches: list[Watch] = []
+    watches: list[RecordingObservations] = []
     apart: InputError | None = None
     for recording in scene.recordings:
         if recording.fixes_path is None:
@@ -175,7 +175,7 @@ def associate_scene(
                 except InputError as error:
                     apart = apart or error
             continue
-        watches.append(Watch(recording.name, observe(boxes), paths))
+        watches.append(RecordingObservations(recording.name, observe(boxes), paths))
     if not watches:
         if apart is not None:
             raise apart
@@ -192,7 +192,9 @@ def associate_scene(
         raise FitError(f"{scene.path}: {error}") from error
 
 
-def _over_water(watches: Sequence[Watch], scene: Scene) -> list[Watch]:
+def _over_water(
+    watches: Sequence[RecordingObservations], scene: Scene
+) -> list[RecordingObservations]:
     """Watches that know how high the water stood, above its middle over all of them."""
     levels = [levels_at(scene[watch.name], watch.seen.time_utc_s) for watch in watches]
     middle_m = float(np.median(np.concatenate(levels)))
@@ -226,7 +228,7 @@ def fit_association(
     plane = scene.plane
     assert plane is not None, "association needs the camera's place"
     landmarks = scene_landmarks(scene, association, seen)
-    pairs = recognised_pairs(association, plane, scene)
+    pairs = recognised_correspondences(association, plane, scene)
     beliefs = _measured(pairs, association.camera, lower_edges)
     inputs = FitInputs(
         correspondences=pairs,
@@ -312,7 +314,7 @@ def update_scene(
     beliefs: dict[str, SourceBelief] = {}
     more: tuple[str, ...] = ()
     if any(r.boxes_path and r.fixes_path for r in scene.recordings):
-        pairs = scene_pairs(scene, old.plane)
+        pairs = scene_correspondences(scene, old.plane)
         usual = CameraPrior()
     else:
         moved_scene = replace(
@@ -332,7 +334,7 @@ def update_scene(
             largest_offset_s=largest_offset_s,
             progress=progress,
         )
-        pairs = recognised_pairs(association, old.plane, scene)
+        pairs = recognised_correspondences(association, old.plane, scene)
         landmarks = scene_landmarks(scene, association, seen)
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
@@ -368,7 +370,9 @@ def update_scene(
     return replace(fitted, report=replace(fitted.report, statements=statements))
 
 
-def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) -> Pairs:
+def recognised_correspondences(
+    association: Association, plane: LocalPlane, scene: Scene
+) -> Correspondences:
     """Boxes that were recognised, thinned, with the places of their vessels."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
     by_name = {watch.name: watch for watch in association.watches}
@@ -386,7 +390,7 @@ def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) 
         velocities.append(at.velocity_mps[known])
         if scene.tidal:
             levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
-    return Pairs(
+    return Correspondences(
         boxes=Boxes.concatenate(boxes),
         recording=np.concatenate(names),
         east_north_m=np.concatenate(places),
@@ -399,7 +403,7 @@ def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) 
 
 
 def _measured(
-    pairs: Pairs, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
+    pairs: Correspondences, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
 ) -> dict[str, SourceBelief]:
     """What is believed of the boxes of detectors whose lower edge was measured.
 

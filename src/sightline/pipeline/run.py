@@ -18,7 +18,11 @@ from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
 from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.overlap import iou
 from sightline.pipeline.camera_state import camera_turns, recording_history
-from sightline.pipeline.evaluate import Placed, place_boxes, recordings_with_pairs
+from sightline.pipeline.evaluate import (
+    LocatedRecording,
+    place_boxes,
+    recordings_with_correspondences,
+)
 from sightline.pipeline.fit_unlabelled import fit_scene
 from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
@@ -60,7 +64,7 @@ class RunResult:
     single: Report | None
     left_out: tuple[str, ...]
     detected: tuple[str, ...]
-    placed: Sequence[Placed]
+    placed: Sequence[LocatedRecording]
     notes: tuple[str, ...] = field(default=())
     smoothed_learned_from: Report | None = None
     single_learned_from: Report | None = None
@@ -105,7 +109,7 @@ def run(
     fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
     models, failed = _leave_each_out(scene, model, seed, extra, seen, tell)
     tracked = _track_each(scene, fitted, models, seen, settings, tell)
-    placed: list[Placed] = []
+    placed: list[LocatedRecording] = []
     if _drawn(scene):
         placed = place_boxes(scene, lambda name: models.get(name, fitted))
     single = {one.recording: pairs for one in placed if len(pairs := one.single())}
@@ -247,7 +251,7 @@ def _leave_each_out(
         inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
         settings = FitSettings(model=kind, seed=seed)
         try:
-            names = recordings_with_pairs(scene, inputs)
+            names = recordings_with_correspondences(scene, inputs)
         except FitError as error:
             return models, error
     for i, name in enumerate(names):
