@@ -13,7 +13,7 @@ from sightline.association.observations import TrackObservations, observe
 from sightline.association.search import RecordingObservations
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import Boxes, FloatArray
 
 SIZE = (1280, 720)
@@ -72,16 +72,16 @@ def log(
     late_s: float = 0.0,
     *,
     goes: Goes = place,
-) -> LoggedPath:
+) -> ReferenceTrajectory:
     """Its log, turned clockwise about the camera, moved north, or of another time."""
     since_s = np.arange(-80.0, DURATION_S + 80.0)
     sine, cosine = np.sin(np.radians(turned_deg)), np.cos(np.radians(turned_deg))
     path = goes(since_s - late_s) @ np.array([[cosine, -sine], [sine, cosine]])
     path[:, 1] += north_m
-    return LoggedPath(name, START_UTC_S + since_s, path, np.full_like(path, np.nan))
+    return ReferenceTrajectory(name, START_UTC_S + since_s, path, np.full_like(path, np.nan))
 
 
-def recognise(*logs: LoggedPath) -> Association:
+def recognise(*logs: ReferenceTrajectory) -> Association:
     return associate([RecordingObservations("one", seen(), logs)], SIZE)
 
 

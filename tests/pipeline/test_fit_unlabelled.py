@@ -12,13 +12,13 @@ from sightline.camera.pinhole import Camera
 from sightline.detection import LowerEdge
 from sightline.formats import write_boxes, write_fixes
 from sightline.geodesy import LocalPlane
-from sightline.logged_path import LoggedPath
 from sightline.pipeline.fit_unlabelled import (
     APART_S,
     MOST_A_RECORDING,
     fit_association,
     recognised_correspondences,
 )
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Scene
 from sightline.types import Boxes, Fixes, FloatArray
 
@@ -86,7 +86,7 @@ fixes = "log.csv"
 
 @pytest.fixture(scope="module")
 def association(scene: Scene) -> Association:
-    path = LoggedPath.of(scene["one"].fixes(), PLANE)
+    path = ReferenceTrajectory.of(scene["one"].fixes(), PLANE)
     return associate([RecordingObservations("one", observe(detections()), (path,))], SIZE)
 
 

@@ -26,7 +26,7 @@ from sightline.camera.parameters import (
     camera_vector,
 )
 from sightline.camera.priors import CameraPrior
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import FloatArray, IntArray
 
 HEADING_STEP_DEG = 2.0
@@ -63,7 +63,7 @@ class RecordingObservations:
 
     name: str
     seen: TrackObservations
-    paths: tuple[LoggedPath, ...]
+    paths: tuple[ReferenceTrajectory, ...]
     above_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -307,7 +307,9 @@ class _Pairs:
         return mean, np.sqrt(square)
 
 
-def _alike(pieces: _Pieces, paths: Sequence[LoggedPath], offset_s: float, width_px: int) -> _Pairs:
+def _alike(
+    pieces: _Pieces, paths: Sequence[ReferenceTrajectory], offset_s: float, width_px: int
+) -> _Pairs:
     """The pairs in which columns go with bearings as they do before some camera."""
     count = np.diff(np.append(pieces.start, pieces.time_utc_s.size))
     rows, bearings, distances, sizes, weights, spreads = [], [], [], [], [], []

@@ -24,9 +24,9 @@ from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
 from sightline.georeferencing.recalibration import lies_since, prior_of
-from sightline.logged_path import LoggedPath
 from sightline.pipeline.fit import fit
 from sightline.progress import Progress
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_static_intervals
 from sightline.scene.correspondences import levels_at, scene_correspondences
@@ -474,7 +474,7 @@ def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Bo
 
 def _paths(
     recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float
-) -> tuple[LoggedPath, ...]:
+) -> tuple[ReferenceTrajectory, ...]:
     """The logs that tell anything of the time of a recording."""
     first = boxes.time_utc_s.min() - largest_offset_s
     last = boxes.time_utc_s.max() + largest_offset_s
@@ -482,7 +482,7 @@ def _paths(
     for log in recording.logs():
         times = log.fixes.time_utc_s
         if np.sum((times >= first) & (times <= last)) >= 2:
-            out.append(LoggedPath.of(log.fixes, plane, log.velocity_mps))
+            out.append(ReferenceTrajectory.of(log.fixes, plane, log.velocity_mps))
     return tuple(out)
 
 
