@@ -266,8 +266,8 @@ def test_what_a_log_is_off_by_is_not_counted_twice() -> None:
     for seed in SEEDS:
         world = plant(seed)
         noise = fit_world(world, starts=2).noise
-        total.append(np.hypot(noise.place_m, noise.drift_m))
-        lasting.append(noise.drift_m)
+        total.append(np.hypot(noise.place_m, noise.correlated_m))
+        lasting.append(noise.correlated_m)
     assert np.median(total) == pytest.approx(NOISE.place_m, rel=0.3)
     np.testing.assert_array_equal(lasting, 0.0)
 
@@ -498,7 +498,7 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
     apart = replace(twice, time_s=twice.time_s + 5.0 * (np.arange(len(twice)) >= len(once)))
     # No source has a bias here, so that nothing is to be learned of a second one.
     known = CameraPrior(bias_px_sigma=1e-6, bias_m_sigma=1e-6)
-    noise = replace(NOISE, drift_m=0.0)
+    noise = replace(NOISE, correlated_m=0.0)
     sigmas = [
         np.sqrt(
             np.diag(
@@ -567,7 +567,7 @@ def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
                     SIZE,
                     n_sources=1,
                     prior=JUST_THE_CAMERA,
-                    noise=replace(NOISE, drift_m=0.0),
+                    noise=replace(NOISE, correlated_m=0.0),
                     starts=2,
                 ).covariance
             )[: len(PARAMETERS)]

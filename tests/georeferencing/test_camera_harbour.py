@@ -144,4 +144,4 @@ def test_two_sources_of_one_moment_do_not_make_the_log_absurd(seed: int) -> None
     camera, true = model.camera_, harbour.camera
     assert abs(camera.height_m / true.height_m - 1.0) < 0.25
     assert abs(camera.focal_px / true.focal_length_px - 1.0) < 0.15
-    assert model.fit_.noise.drift_m < 4.0
+    assert model.fit_.noise.correlated_m < 4.0

@@ -13,7 +13,7 @@ from sightline.detection import LowerEdge
 from sightline.formats import write_boxes, write_fixes
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.fit_unlabelled import (
-    APART_S,
+    CORRELATION_TIME_S,
     MOST_A_RECORDING,
     fit_association,
     recognised_correspondences,
@@ -114,6 +114,6 @@ def test_boxes_that_teach_are_as_far_apart_as_their_errors_last(
     assert 0.5 * MOST_A_RECORDING < len(pairs) <= MOST_A_RECORDING
     apart_s = np.diff(pairs.boxes.time_utc_s)
     # A box may lie a quarter of a second from the middle of those that it stands for.
-    assert apart_s.min() >= APART_S - 0.5
+    assert apart_s.min() >= CORRELATION_TIME_S - 0.5
     # They are spread over all the time in which the vessel was seen.
     assert np.ptp(pairs.boxes.time_utc_s) > 0.95 * (found.last_utc_s - found.first_utc_s)

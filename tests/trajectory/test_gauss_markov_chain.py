@@ -34,7 +34,11 @@ def _nodes(seed: int, n: int) -> chain.Nodes:
 def _parameters(**changes: Any) -> chain.Parameters:
     return replace(
         chain.Parameters(
-            q_m2ps3=0.3, tau_s=0.9, white=(0.6, 0.8), lasting=(0.5, 0.3), speed_mps=10.0
+            q_m2ps3=0.3,
+            correlation_time_s=0.9,
+            white=(0.6, 0.8),
+            correlated=(0.5, 0.3),
+            speed_mps=10.0,
         ),
         **changes,
     )
@@ -50,7 +54,7 @@ def _batch(
     """Least squares over all states at once: one row a measurement, a step, a prior."""
     times = np.sort(np.concatenate([nodes.time_s, extra_s]))
     size = times.size
-    tau = p.tau_s
+    tau = p.correlation_time_s
     rows, values = [], []
 
     def add(blocks: dict[int, FloatArray], value: FloatArray, root: FloatArray) -> None:
@@ -77,7 +81,7 @@ def _batch(
             noise[i + 4, i + 4] = 1.0 - np.exp(-2.0 * dt / tau)
         add({k: -step, k + 1: np.eye(6)}, np.zeros(6), np.linalg.cholesky(noise))
     for k, time in enumerate(nodes.time_s):
-        lasting = np.diag(p.lasting) @ nodes.root_m[k]
+        correlated = np.diag(p.lasting) @ nodes.root_m[k]
         sees = np.hstack([nodes.axes[k], np.zeros((2, 2)), lasting])
         add(
             {int(np.searchsorted(times, time)): sees},
@@ -144,7 +148,7 @@ def _log_density(nodes: chain.Nodes, p: chain.Parameters) -> float:
     n = nodes.time_s.size
     since = nodes.time_s - nodes.time_s[0]
     early, late = np.minimum.outer(since, since), np.maximum.outer(since, since)
-    q, tau = p.q_m2ps3, p.tau_s
+    q, tau = p.q_m2ps3, p.correlation_time_s
     motion = q * (early**2 * late / 2.0 - early**3 / 6.0)
     motion += p.speed_mps**2 * np.outer(since, since) + 1.0 / chain.POSITION_PRECISION
     total = np.zeros((2 * n, 2 * n))
@@ -168,9 +172,9 @@ def test_likelihood_ratios_are_those_of_the_normal_density(
     variants = [
         _parameters(),
         _parameters(q_m2ps3=2.0),
-        _parameters(tau_s=3.0),
+        _parameters(correlation_time_s=3.0),
         _parameters(white=(1.4, 0.2)),
-        _parameters(lasting=(0.1, 2.0)),
+        _parameters(correlated=(0.1, 2.0)),
     ]
     expected = np.array([-2.0 * _log_density(nodes, p) for p in variants])
     got = np.array([chain.minus_two_log_likelihood(nodes, p)[0] for p in variants])
@@ -185,7 +189,7 @@ def test_gradient_of_the_likelihood_is_its_slope(q_m2ps3: float, n: int) -> None
 
     def value(at: FloatArray) -> tuple[float, FloatArray]:
         q, tau, *shares = np.exp(at).tolist()
-        p = _parameters(q_m2ps3=q, tau_s=tau, white=shares[:2], lasting=shares[2:])
+        p = _parameters(q_m2ps3=q, correlation_time_s=tau, white=shares[:2], correlated=shares[2:])
         return chain.minus_two_log_likelihood(nodes, p)
 
     step = 1e-4 * np.eye(6)

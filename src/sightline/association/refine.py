@@ -51,7 +51,7 @@ _ROUNDS = 10
 _MARGIN = 0.25
 _LARGEST_PX = 60.0
 # Boxes of one track are alike in error for about this long.
-ALIKE_S = 2.0
+CORRELATION_TIME_S = 2.0
 
 _LONGEST_STEP = camera_vector(
     {
@@ -332,7 +332,7 @@ class Refiner:
         total = np.bincount(found.row, ratio, minlength=len(seen))
         share = ratio / (1.0 + total[found.row])
         # Whatever is seen at a moment, a vessel is one of it.
-        weight = min(seen.interval_s / ALIKE_S, 1.0)
+        weight = min(seen.interval_s / CORRELATION_TIME_S, 1.0)
         gain = weight * float(np.sum(np.log1p(total)))
         return share, np.sqrt(square), gain
 
@@ -349,7 +349,7 @@ class Refiner:
         jacobian[:, :, _clock(index)] = found.by_offset[rows]
         jacobian /= sigma[rows][:, :, None]
         residual = (seen.foot_px[found.row[rows]] - found.pixel_px[rows]) / sigma[rows]
-        weight = share[rows] * min(seen.interval_s / ALIKE_S, 1.0)
+        weight = share[rows] * min(seen.interval_s / CORRELATION_TIME_S, 1.0)
         flat = (jacobian * weight[:, None, None]).reshape(-1, size)
         return flat.T @ jacobian.reshape(-1, size), flat.T @ residual.reshape(-1)
 

@@ -249,13 +249,13 @@ class _Refined:
 
     Attributes:
         vector: Parameters, with how far the middle of a box lies ahead of the receiver.
-        drift_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
+        correlated_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
         weight: (N, 2) how much each column and row counts, 0 to 1.
         standard: (N, 2) residuals without what lasts, over their standard deviations.
     """
 
     vector: FloatArray
-    drift_m: FloatArray
+    correlated_m: FloatArray
     weight: FloatArray
     standard: FloatArray
 
@@ -466,9 +466,9 @@ class _Problem:
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
     def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
-        """The nearest maximum of the posterior by the whole noise, the lasting error of logs too.
+        """The nearest maximum of the posterior by the whole noise, the correlated error of logs too.
 
-        Gauss-Newton steps on whitened residuals. The lasting error, like that of single places, is
+        Gauss-Newton steps on whitened residuals. The correlated error, like that of single places, is
         not left in the residual: derivatives are those at the likeliest places, since a fit that
         charged all of it to the pixels would find a camera in which metres look too small (errors
         in variables). Boxes that are off by much count less (Huber).
@@ -497,8 +497,8 @@ class _Problem:
                 self.blocks,
                 variance / weight,
                 by_place,
-                noise.drift_m,
-                noise.drift_s,
+                noise.correlated_m,
+                noise.correlation_time_s,
                 by_point[:, :, 2],
                 noise.heave_m,
             )
@@ -594,8 +594,8 @@ class _Problem:
         log that is off by very much would seem to explain how the boxes differ.
         """
         aspect = self.aspect(found.vector)
-        pixel, jacobian, by_point = self.project(found.vector, aspect, found.drift_m)
-        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.drift_m)
+        pixel, jacobian, by_point = self.project(found.vector, aspect, found.correlated_m)
+        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.correlated_m)
         return self.sightings.pixel_px - pixel + put_back, jacobian, by_point
 
     def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
@@ -622,11 +622,17 @@ class _Problem:
         columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
-            drift_m, drift_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
+            correlated_m, correlation_time_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
             heave_m = float(np.exp(t[6])) if count > 6 else 0.0
             variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
             whitening = Whitening(
-                self.blocks, variance, by_place, drift_m, drift_s, by_point[:, :, 2], heave_m
+                self.blocks,
+                variance,
+                by_place,
+                correlated_m,
+                correlation_time_s,
+                by_point[:, :, 2],
+                heave_m,
             )
             both = whitening.forward(columns)
             flat = both.reshape(-1, size + 1)
@@ -639,11 +645,14 @@ class _Problem:
             value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
             solved = whitening.backward(both)
             covariance = cho_solve(factor, np.eye(size), check_finite=False)
-            by_variance, *by_lasting = whitening.slopes(
-                solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance, drift_s
+            by_variance, *by_correlated = whitening.slopes(
+                solved[:, :, -1] - solved[:, :, :-1] @ step,
+                solved[:, :, :-1],
+                covariance,
+                correlation_time_s,
             )
             by_part = np.tensordot(parts, by_variance / found.weight, 2)
-            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_lasting])[:count]
+            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_correlated])[:count]
             belief = (t - centre) / width
             return value + 0.5 * float(belief @ belief), slopes + belief / width
 
@@ -658,7 +667,7 @@ class _Problem:
         )
         estimated = PixelNoise(*np.exp(best.x).tolist())
         # Where no two fixes are near in time nobody can tell what lasts.
-        return estimated if self.blocks else replace(estimated, drift_m=0.0)
+        return estimated if self.blocks else replace(estimated, correlated_m=0.0)
 
     def summarise(
         self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
@@ -675,8 +684,8 @@ class _Problem:
             self.blocks,
             variance * crowding / found.weight,
             by_place,
-            noise.drift_m,
-            noise.drift_s,
+            noise.correlated_m,
+            noise.correlation_time_s,
             by_point[:, :, 2],
             noise.heave_m,
         )
@@ -718,7 +727,9 @@ class _Problem:
         """A fit to some sightings as one to all: the others are compared with it."""
         pixel, _, by_point = self.project(fit.vector, self.aspect(fit.vector))
         per_metre = np.sum(by_point[:, :, :2] ** 2, axis=2)
-        sigma = np.hypot(self.sigmas(fit.vector, fit.noise), fit.noise.drift_m * np.sqrt(per_metre))
+        sigma = np.hypot(
+            self.sigmas(fit.vector, fit.noise), fit.noise.correlated_m * np.sqrt(per_metre)
+        )
         residual = self.sightings.pixel_px - pixel
         standard = residual / sigma
         residual[chosen] = fit.residual_px

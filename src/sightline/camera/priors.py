@@ -147,8 +147,8 @@ class PixelNoise:
         place_m: Of the place itself, metres east and metres north, anew for each box: how far the
             log is off, and the middle of the box off the middle of the hull. The two cannot be
             told apart.
-        drift_m: Of the part of the log's error that lasts, metres east and metres north.
-        drift_s: How long it lasts: it decays as ``exp(-Δt / drift_s)``.
+        correlated_m: Of the part of the log's error that lasts, metres east and metres north.
+        correlation_time_s: How long it lasts: it decays as ``exp(-Δt / correlation_time_s)``.
         heave_m: Of the camera's height, which moves all rows together for about a second: of a
             camera on a vessel.
         middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
@@ -159,8 +159,8 @@ class PixelNoise:
     row_m: float = 0.2
     column_px: float = 3.0
     place_m: float = 1.0
-    drift_m: float = 1.0
-    drift_s: float = 20.0
+    correlated_m: float = 1.0
+    correlation_time_s: float = 20.0
     heave_m: float = 0.0
     middle_m: float = 0.0
 
@@ -183,8 +183,8 @@ class PixelNoise:
             self.row_m * factor,
             self.column_px * factor,
             self.place_m * factor,
-            self.drift_m * factor,
-            self.drift_s,
+            self.correlated_m * factor,
+            self.correlation_time_s,
             self.heave_m * factor,
             self.middle_m,
         )

@@ -174,14 +174,14 @@ def lies_since(
 
 
 def moved_since(
-    model: Georeferencer, pairs: Correspondences, *, alike_s: float = 2.0
+    model: Georeferencer, pairs: Correspondences, *, correlation_time_s: float = 2.0
 ) -> tuple[Moved, ...]:
     """Where boxes say that the camera was turned; nothing where it was not.
 
     Args:
         model: With a camera.
         pairs: Boxes and places of a new day, in the model's plane.
-        alike_s: Boxes nearer in time than this have errors in common, and count as one.
+        correlation_time_s: Boxes nearer in time than this have errors in common, and count as one.
 
     Raises:
         InputError: The model has no camera.
@@ -195,13 +195,15 @@ def moved_since(
         rows = rows[np.argsort(pairs.boxes.time_utc_s[rows], kind="stable")]
         if rows.size < _FEWEST:
             continue
-        found = _turn(model, pairs[rows], str(name), alike_s)
+        found = _turn(model, pairs[rows], str(name), correlation_time_s)
         if found is not None:
             out.append(found)
     return tuple(out)
 
 
-def _turn(model: Georeferencer, pairs: Correspondences, name: str, alike_s: float) -> Moved | None:
+def _turn(
+    model: Georeferencer, pairs: Correspondences, name: str, correlation_time_s: float
+) -> Moved | None:
     residual, jacobian, sigma, time_s = _residuals(model, pairs)
     standard = residual / sigma
     assert model.camera is not None, "the caller has looked"
@@ -213,7 +215,7 @@ def _turn(model: Georeferencer, pairs: Correspondences, name: str, alike_s: floa
     if time_s.size < _FEWEST:
         return None
     apart = np.maximum(np.median(np.diff(time_s)), 1e-3)
-    weight = min(float(apart) / alike_s, 1.0) if time_s.size > 1 else 1.0
+    weight = min(float(apart) / correlation_time_s, 1.0) if time_s.size > 1 else 1.0
     best: tuple[float, int, FloatArray, FloatArray] | None = None
     for first in range(time_s.size - _FEWEST + 1):
         a = (jacobian[first:] / sigma[first:, :, None]).reshape(-1, 3)

@@ -34,7 +34,7 @@ from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.synchronisation import check_overlap
 from sightline.types import Boxes, FloatArray, IntArray
 
-APART_S = 1.5
+CORRELATION_TIME_S = 1.5
 """Boxes that teach are at least so far apart: a detector's errors last as long."""
 
 MOST_A_RECORDING = 120
@@ -488,7 +488,7 @@ def _paths(
 
 def _thinned(time_s: FloatArray) -> IntArray:
     """Indices of times in order that are far enough apart, and not too many."""
-    apart = max(APART_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
+    apart = max(CORRELATION_TIME_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
     out: list[int] = []
     last = -np.inf
     for i, time in enumerate(time_s):

@@ -52,7 +52,7 @@ from sightline.water import WaterLevels
 
 DEFAULT_TRAJECTORY = "rts"
 
-ON_BOARD_LASTING_S = 1.3
+ON_BOARD_CORRELATION_TIME_S = 1.3
 """How long errors of boxes last on a vessel under way: heave, for a fourth of a wave's period."""
 
 _MOST_PARTS = 256
@@ -552,7 +552,9 @@ def states(
     if platform is None:
         return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
     motion = motion or MotionModel()
-    motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
+    motion = replace(
+        motion, correlation_time_s=max(motion.correlation_time_s, ON_BOARD_CORRELATION_TIME_S)
+    )
     pose = platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
     followed = follow_motion(
         boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id

@@ -61,7 +61,7 @@ class WorldTrackerSettings(ImageTrackerSettings):
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
+        correlation_time_s: The errors of boxes last for so long; boxes that follow each other faster tell
             accordingly less.
         earth_gate: Largest distance between a predicted and a measured place, in standard
             deviations.
@@ -76,7 +76,7 @@ class WorldTrackerSettings(ImageTrackerSettings):
     direct_s: float = 2.0
     acceleration_m2ps3: float = 0.7
     speed_mps: float = 4.0
-    lasting_s: float = 1.0
+    correlation_time_s: float = 1.0
     earth_gate: float = 4.0
     loose_gate: float = 5.0
     image_s: float = 0.6
@@ -206,7 +206,9 @@ class WorldPlane:
         expected, jacobian = _sight(place[:, :2] - measured["eye"])
         cross = doubt[:, :, :2] @ jacobian.transpose(0, 2, 1)
         # Errors that last make boxes that follow each other closely one box.
-        repeated = np.maximum(1.0, 2.0 * self._settings.lasting_s / np.maximum(silent_s, 1e-3))
+        repeated = np.maximum(
+            1.0, 2.0 * self._settings.correlation_time_s / np.maximum(silent_s, 1e-3)
+        )
         noise = measured["noise"] * repeated[:, None, None]
         gain = cross @ _inverse(jacobian @ cross[:, :2] + noise)
         off = _off(measured["sight"], expected)

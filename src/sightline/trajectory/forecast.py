@@ -42,7 +42,7 @@ _SAME_TIME_S = 1e-6
 _NEAREST_M = 1e-3
 _ITERATIONS = 3
 _STEADY = np.sqrt(0.5)
-_MAY_BE_ZERO = ("turn_rate_radps", "hard_turn_rate_radps", "hard_share", "lasting_s")
+_MAY_BE_ZERO = ("turn_rate_radps", "hard_turn_rate_radps", "hard_share", "correlation_time_s")
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class MotionModel:
         straight_m2ps3: Spectral density of the white acceleration while it goes straight, m²/s³.
         turning_m2ps3: The same while it turns.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
+        correlation_time_s: The errors of boxes last for so long; boxes that follow each other faster tell
             accordingly less.
         forgotten_s: After so long without a position a target is begun anew: it may be anywhere,
             and a filter that is linear about where it was expected may end far from where it is.
@@ -78,7 +78,7 @@ class MotionModel:
     straight_m2ps3: float = 0.03
     turning_m2ps3: float = 0.1
     speed_mps: float = 2.0
-    lasting_s: float = 0.6
+    correlation_time_s: float = 0.6
     forgotten_s: float = 30.0
     outlier_gate: float = 3.5
 
@@ -450,7 +450,7 @@ def _updated(
     sight, axes = _sight(measured.en_m[i : i + 1] - eye_m)
     noise = axes[0] @ measured.covariance_m2[i] @ axes[0].T
     # Errors that last make boxes that follow each other closely one box.
-    noise = noise * max(1.0, 2.0 * motion.lasting_s / max(lag_s, 1e-3))
+    noise = noise * max(1.0, 2.0 * motion.correlation_time_s / max(lag_s, 1e-3))
     expected, covariance = state.mean[0], state.covariance[0]
     at, place = expected, covariance[:, :2, :2]
     there, design = _sight(expected[:, :2] - eye_m)

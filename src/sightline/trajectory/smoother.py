@@ -61,7 +61,7 @@ class NoiseModel:
 
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
-        lasting_s: Time constant of the noise that lasts, seconds.
+        correlation_time_s: Time constant of the noise that lasts, seconds.
         white_along: Share that is independent from box to box.
         white_across: The same, across the line of sight.
         lasting_along: Share that lasts.
@@ -69,7 +69,7 @@ class NoiseModel:
     """
 
     acceleration_m2ps3: float
-    lasting_s: float
+    correlation_time_s: float
     white_along: float
     white_across: float
     lasting_along: float
@@ -269,7 +269,7 @@ class RtsSmoother:
         if self.noise is not None:
             return 0.0, 0.0
         n = float(nodes.count.sum())
-        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.lasting_s
+        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.correlation_time_s
         shares = []
         for white, lasting in (
             (noise.white_along, noise.lasting_along),
@@ -290,9 +290,9 @@ def _logs(noise: NoiseModel) -> FloatArray:
 def _parameters(noise: NoiseModel, speed_mps: float) -> chain.Parameters:
     return chain.Parameters(
         q_m2ps3=noise.acceleration_m2ps3,
-        tau_s=noise.lasting_s,
+        correlation_time_s=noise.correlation_time_s,
         white=(noise.white_along, noise.white_across),
-        lasting=(noise.lasting_along, noise.lasting_across),
+        correlated=(noise.lasting_along, noise.lasting_across),
         speed_mps=speed_mps,
     )
 
@@ -403,7 +403,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         total = scaled[2:4] * scale[2:4] / _TOTAL_PRIOR_SD
         value += float(belief @ belief + total @ total)
         gradient += 2.0 * belief / _PRIOR_SD
-        white, lasting = gradient[2:4].copy(), gradient[4:].copy()
+        white, correlated = gradient[2:4].copy(), gradient[4:].copy()
         gradient[2:4] = white + lasting + 2.0 * total / _TOTAL_PRIOR_SD
         gradient[4:] = lasting - lasting_part * (white + lasting)
         values.append(0.5 * value)
@@ -429,7 +429,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
 def _shares(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Logarithms in the order of `NoiseModel`, of those by which `_learned` looks for it.
 
-    Also the share (2,) of the lasting noise in the variance, along and across.
+    Also the share (2,) of the correlated noise in the variance, along and across.
     """
     out = logs.copy()
     lasting_part = 1.0 / (1.0 + np.exp(-2.0 * logs[4:]))
