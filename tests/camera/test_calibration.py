@@ -10,7 +10,7 @@ from sightline.camera.calibration import CameraFit, fit_camera
 from sightline.camera.observations import PointCorrespondences
 from sightline.camera.parameters import CAMERA, HEADING, LOG_FOCAL, PARAMETERS, PITCH, TARGET
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, PixelNoise, SourceBelief
+from sightline.camera.priors import CameraPrior, PixelNoise, SourcePrior
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.observations import CameraObservations
@@ -302,7 +302,7 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
 def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
     """Boxes that all end 6 px too low look like a camera that is turned up."""
     planted = np.array([[6.0, -0.2]])
-    belief = SourceBelief(bias_px=(6.0, 0.5), bias_m=(-0.2, 0.1))
+    belief = SourcePrior(bias_px=(6.0, 0.5), bias_m=(-0.2, 0.1))
     believed, untold = [], []
     for seed in SEEDS:
         world = plant(seed, bias=planted)
@@ -463,7 +463,7 @@ def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> 
     """The camera learned from a detector whose habit was measured; somebody draws with a margin."""
     margin = np.array([2.0, -0.3])
     prior = CameraPrior(unseen_px=margin[0], unseen_m=margin[1])
-    belief = SourceBelief(bias_px=(3.0, 0.1), bias_m=(-0.2, 0.05))
+    belief = SourcePrior(bias_px=(3.0, 0.1), bias_m=(-0.2, 0.05))
     off = {}
     for told in (prior, CameraPrior()):
         world = plant(1, bias=np.array([[3.0, -0.2]]), hull_m=np.zeros(2))
@@ -584,7 +584,7 @@ def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well
     off_px: float,
 ) -> None:
     """Of people who end their boxes at the water one learns nothing of a detector's habit."""
-    careful = SourceBelief(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
+    careful = SourcePrior(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
     accurate = PixelNoise(row_px=1.0, row_m=0.05, column_px=2.0, place_m=0.1)
     held = []
     for seed in range(4):

@@ -44,7 +44,7 @@ from sightline.camera.priors import (
     ANY_ASPECT,
     CameraPrior,
     PixelNoise,
-    SourceBelief,
+    SourcePrior,
 )
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -167,7 +167,7 @@ def fit_camera(
     *,
     n_sources: int,
     prior: CameraPrior | None = None,
-    beliefs: Mapping[int, SourceBelief] | None = None,
+    beliefs: Mapping[int, SourcePrior] | None = None,
     noise: PixelNoise | None = None,
     position_known: bool = True,
     heaving: bool = False,
@@ -274,7 +274,7 @@ class _Problem:
         n_sources: int,
         prior: CameraPrior,
         position_known: bool,
-        beliefs: Mapping[int, SourceBelief] | None,
+        beliefs: Mapping[int, SourcePrior] | None,
         heaving: bool = False,
     ) -> None:
         self.sightings = sightings

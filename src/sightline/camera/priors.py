@@ -124,7 +124,7 @@ class CameraPrior:
 
 
 @dataclass(frozen=True)
-class SourceBelief:
+class SourcePrior:
     """What is believed of one source of boxes before any data, instead of what a prior says of all.
 
     Attributes:

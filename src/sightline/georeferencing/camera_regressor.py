@@ -26,7 +26,7 @@ from sightline.camera.priors import (
     ANY_ASPECT,
     CameraPrior,
     PixelNoise,
-    SourceBelief,
+    SourcePrior,
 )
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
@@ -80,7 +80,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         *,
         residual: bool = True,
         prior: CameraPrior | None = None,
-        source_priors: Mapping[str, SourceBelief] | None = None,
+        source_priors: Mapping[str, SourcePrior] | None = None,
         position_known: bool = True,
         heaving: bool = False,
         starts: int = 8,

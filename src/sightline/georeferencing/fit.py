@@ -10,7 +10,7 @@ import numpy as np
 from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
@@ -92,7 +92,7 @@ class FitSettings:
     model: str | ModelType = DEFAULT_MODEL
     seed: int = 0
     prior: CameraPrior | None = None
-    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
     water_level_m: float | None = None
 
 

@@ -16,7 +16,7 @@ from sightline._plugins import loaded, registered
 from sightline.camera.calibration import CameraFit
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.errors import InputError, unknown_name
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Correspondences
@@ -63,7 +63,7 @@ class Observations:
     moving: bool = False
     tidal: bool = False
     prior: CameraPrior | None = None
-    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
 
 
 class BoxModel(Protocol):

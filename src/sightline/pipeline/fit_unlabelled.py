@@ -12,7 +12,7 @@ from sightline.association.observations import observe
 from sightline.association.search import RecordingObservations
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
 from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
@@ -229,7 +229,7 @@ def fit_association(
     assert plane is not None, "association needs the camera's place"
     landmarks = scene_landmarks(scene, association, seen)
     pairs = recognised_correspondences(association, plane, scene)
-    beliefs = _measured(pairs, association.camera, lower_edges)
+    source_priors = _measured(pairs, association.camera, lower_edges)
     inputs = FitInputs(
         correspondences=pairs,
         image_size_px=scene.image_size_px,
@@ -311,7 +311,7 @@ def update_scene(
         )
     old.check_water(scene.tidal, f"{scene.path}: ")
     landmarks = Landmarks.none()
-    beliefs: dict[str, SourceBelief] = {}
+    source_priors: dict[str, SourcePrior] = {}
     more: tuple[str, ...] = ()
     if any(r.boxes_path and r.fixes_path for r in scene.recordings):
         pairs = scene_correspondences(scene, old.plane)
@@ -337,7 +337,7 @@ def update_scene(
         pairs = recognised_correspondences(association, old.plane, scene)
         landmarks = scene_landmarks(scene, association, seen)
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
-        beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
+        source_priors = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
     static_intervals = scene_static_intervals(scene, progress)
     now = lies_since(old, pairs, static_intervals)
@@ -404,7 +404,7 @@ def recognised_correspondences(
 
 def _measured(
     pairs: Correspondences, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
-) -> dict[str, SourceBelief]:
+) -> dict[str, SourcePrior]:
     """What is believed of the boxes of detectors whose lower edge was measured.
 
     A share of the boat's height is metres at the boat, as many as it is high.
@@ -425,7 +425,7 @@ def _measured(
         rows = pairs.boxes.source == name
         boat_m = float(np.median(edge.hull_px(height_px[rows]) * slant_m[rows])) / camera.focal_px
         below_m = edge.share * boat_m
-        out[name] = SourceBelief(
+        out[name] = SourcePrior(
             bias_px=(edge.px, float(np.hypot(edge.spread_px, _UNLIKE_RENDERED_PX))),
             bias_m=(-below_m, max(_UNLIKE_RENDERED_SHARE * abs(below_m), _LEAST_SIGMA_M)),
         )
