@@ -460,7 +460,7 @@ def test_boxes_of_a_source_that_nobody_knows_lie_in_their_ellipses() -> None:
 
 
 def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> None:
-    """The camera learned from a detector whose habit was measured; somebody draws with a margin."""
+    """The camera learned from a detector whose bias was measured; somebody draws with a margin."""
     margin = np.array([2.0, -0.3])
     prior = CameraPrior(unseen_px=margin[0], unseen_m=margin[1])
     belief = SourcePrior(bias_px=(3.0, 0.1), bias_m=(-0.2, 0.05))
@@ -583,7 +583,7 @@ def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
 def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well(
     off_px: float,
 ) -> None:
-    """Of people who end their boxes at the water one learns nothing of a detector's habit."""
+    """Of people who end their boxes at the water one learns nothing of a detector's bias."""
     careful = SourcePrior(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
     accurate = PixelNoise(row_px=1.0, row_m=0.05, column_px=2.0, place_m=0.1)
     held = []
@@ -617,7 +617,7 @@ def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well
 
 
 def test_the_residual_is_of_places_by_clocks_that_were_put_right() -> None:
-    """Most targets go east, and all clocks are late: that must not become a habit of the place."""
+    """Most targets go east, and all clocks are late: that must not become a bias of the place."""
     for seed in range(4):
         bow = np.radians(90.0) + np.random.default_rng([seed, 103]).normal(0.0, 1.05, 150)
         world = plant(

@@ -108,7 +108,7 @@ def test_the_camera_of_the_harbour_is_found(learned: list[Learned]) -> None:
 def test_the_camera_is_as_sure_as_stated(learned: list[Learned]) -> None:
     z = np.array([one.in_sigmas for one in learned])
     assert np.abs(z).max() < 3.0
-    # The height shares an unknown with the habit of whoever drew the boxes: it is surer than that.
+    # The height shares an unknown with the bias of whoever drew the boxes: it is surer than that.
     assert 0.4 < np.sqrt(np.mean(z[:, 1] ** 2)) < 1.6
 
 

@@ -38,7 +38,7 @@ class Landmarks:
 NO_SOURCE = -1
 
 
-"""The source of a control point, whose pixel has no habit."""
+"""The source of a control point, whose pixel has no bias."""
 
 
 @dataclass(frozen=True, eq=False)

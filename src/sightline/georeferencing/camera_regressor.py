@@ -59,7 +59,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         image_size_px: Width and height.
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
         prior: Beliefs about the camera; None: those of an ordinary one.
-        source_priors: About the habits of sources, by their names; others have the prior's.
+        source_priors: About the biases of sources, by their names; others have the prior's.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.

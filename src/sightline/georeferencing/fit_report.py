@@ -37,7 +37,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class SourceBias:
-    """The habit of a source of boxes at the lower edge.
+    """The bias of a source of boxes at the lower edge.
 
     Attributes:
         name: Of the annotator or detector.

@@ -119,7 +119,7 @@ class CameraObservations:
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
             above_m=np.zeros(len(pairs)) if above_m is None else above_m,
-            bias_only=pairs.beside,
+            bias_only=pairs.bias_only,
             landmarks=landmarks or Landmarks.none(),
         )
 

@@ -274,7 +274,7 @@ def _unseen(recording: Recording) -> bool:
 def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
     """What a detector makes of the target where somebody has drawn its boxes.
 
-    Every source of boxes has its own habit at the lower edge. Where the same target was drawn and
+    Every source of boxes has its own bias at the lower edge. Where the same target was drawn and
     detected in the same frames, the fit learns both.
     """
     out: dict[str, Boxes] = {}

@@ -62,7 +62,7 @@ class ModelRow:
 
 @dataclass(frozen=True)
 class SourceRow:
-    """The habit of one source of boxes.
+    """The bias of one source of boxes.
 
     Attributes:
         source: The annotator's or the detector's name.
@@ -128,7 +128,7 @@ class ReportPage:
         positions: Single positions beside the log, of each recording.
         model_name: Which model placed the boxes.
         model: What it found.
-        sources: The habits of the sources of boxes.
+        sources: The biases of the sources of boxes.
         outliers: Boxes that the fit did not trust.
         statements: Sentences that the page says besides its own.
         warnings: Sentences that it says first, such as what could not be determined.

@@ -139,7 +139,7 @@ def scene_correspondences(
                 asked=asked,
                 plane=plane,
                 water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
-                beside=~np.isin(boxes.source[rows], drew),
+                bias_only=~np.isin(boxes.source[rows], drew),
             )
         )
     if silent and len(silent) == len(parts):
@@ -164,7 +164,7 @@ def scene_correspondences(
         asked=sum(part.asked for part in parts),
         plane=plane,
         water_level_m=np.concatenate([part.water_level_m for part in parts]),
-        beside=np.concatenate([part.beside for part in parts]),
+        bias_only=np.concatenate([part.bias_only for part in parts]),
     )
 
 
