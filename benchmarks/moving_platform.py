@@ -141,7 +141,9 @@ def from_truth(one: LocatedRecording, simulation: Simulation, motion: MotionMode
     )
     own = simulation.harbour.platform
     assert own is not None, "the camera moves"
-    return follow(times, places, motion, eye_m=own.at(times - simulation.harbour.start_utc_s))
+    return follow(
+        times, places, motion, camera_position_m=own.at(times - simulation.harbour.start_utc_s)
+    )
 
 
 def harbour(simulation: Simulation, seed: int, name: str, found: Found) -> None:

@@ -51,7 +51,7 @@ class ScoredPairs:
             next: a segment is a recording or a track.
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
-        eye_m: (N, 2) float64, east and north of the camera; absent: at the origin.
+        camera_position_m: (N, 2) float64, east and north of the camera; absent: at the origin.
         log_sigma_m: (N,) float64, how far off the log itself is believed to be, east and north;
             absent: not at all.
 
@@ -68,7 +68,7 @@ class ScoredPairs:
     segment: IntArray
     asked: int
     without_position: int = 0
-    eye_m: FloatArray | None = None
+    camera_position_m: FloatArray | None = None
     log_sigma_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -79,8 +79,10 @@ class ScoredPairs:
                 raise InputError(f"ScoredPairs.{name} has a value that is no number")
         self._freeze("covariance_m2", np.array(self.covariance_m2, dtype=np.float64), (n, 2, 2))
         self._freeze("segment", np.array(self.segment, dtype=np.int64), (n,))
-        eye_m = np.zeros((n, 2)) if self.eye_m is None else self.eye_m
-        self._freeze("eye_m", np.array(eye_m, dtype=np.float64), (n, 2))
+        camera_position_m = (
+            np.zeros((n, 2)) if self.camera_position_m is None else self.camera_position_m
+        )
+        self._freeze("camera_position_m", np.array(camera_position_m, dtype=np.float64), (n, 2))
         log_sigma_m = np.zeros(n) if self.log_sigma_m is None else self.log_sigma_m
         self._freeze("log_sigma_m", np.array(log_sigma_m, dtype=np.float64), (n,))
         if self.asked < n:
@@ -113,7 +115,13 @@ class ScoredPairs:
         return cls(
             **{
                 name: np.concatenate([getattr(part, name) for part in parts])
-                for name in (*columns, "true_north_m", "segment", "eye_m", "log_sigma_m")
+                for name in (
+                    *columns,
+                    "true_north_m",
+                    "segment",
+                    "camera_position_m",
+                    "log_sigma_m",
+                )
             },
             asked=sum(part.asked for part in parts),
             without_position=sum(part.without_position for part in parts),
@@ -133,8 +141,8 @@ class ScoredPairs:
     @property
     def true_sight_m(self) -> FloatArray:
         """(N, 2) metres east and north from the camera to the true position."""
-        assert self.eye_m is not None, "filled in where it is absent"
-        return np.stack([self.true_east_m, self.true_north_m], axis=1) - self.eye_m
+        assert self.camera_position_m is not None, "filled in where it is absent"
+        return np.stack([self.true_east_m, self.true_north_m], axis=1) - self.camera_position_m
 
     @property
     def true_range_m(self) -> FloatArray:
@@ -184,12 +192,14 @@ def pair_positions(
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=times.size,
         without_position=int((log.matched & ~positions.known).sum()),
-        eye_m=_eye(platform, times[keep], positions.plane),
+        camera_position_m=_camera_position(platform, times[keep], positions.plane),
         log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
     )
 
 
-def _eye(platform: Platform | None, times: FloatArray, plane: LocalPlane) -> FloatArray | None:
+def _camera_position(
+    platform: Platform | None, times: FloatArray, plane: LocalPlane
+) -> FloatArray | None:
     return None if platform is None else platform.pose(times, plane).en_m
 
 
@@ -221,7 +231,7 @@ def pair_track(
         true_north_m=log.north_m[keep],
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=len(track),
-        eye_m=_eye(platform, track.time_utc_s[keep], track.plane),
+        camera_position_m=_camera_position(platform, track.time_utc_s[keep], track.plane),
         log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
     )
 

@@ -557,7 +557,7 @@ def states(
     )
     pose = platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
     followed = follow_motion(
-        boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
+        boxes.time_utc_s, positions, motion, camera_position_m=pose.en_m, track_id=track_id
     )
     then = platform.pose(followed.time_utc_s, positions.plane, until_then=True)
     return followed.carried(then.covariance)

@@ -372,7 +372,7 @@ def follow(
     positions: Positions,
     motion: MotionModel | None = None,
     *,
-    eye_m: FloatArray | None = None,
+    camera_position_m: FloatArray | None = None,
     track_id: int = 0,
 ) -> MotionState:
     """What was known of one target at each of its positions, by that one and those before it.
@@ -381,7 +381,7 @@ def follow(
         time_utc_s: (N,) POSIX seconds, in any order.
         positions: N rows; those without a position are left out.
         motion: How targets move.
-        eye_m: (N, 2) metres east and north of the camera. Absent: it stands at the origin.
+        camera_position_m: (N, 2) metres east and north of the camera. Absent: it stands at the origin.
         track_id: For messages.
 
     Returns:
@@ -392,7 +392,11 @@ def follow(
     """
     motion = motion or MotionModel()
     measured, _ = measurements(time_utc_s, positions, None, None, track_id)
-    eye = np.zeros((len(positions), 2)) if eye_m is None else np.asarray(eye_m, dtype=np.float64)
+    eye = (
+        np.zeros((len(positions), 2))
+        if camera_position_m is None
+        else np.asarray(camera_position_m, dtype=np.float64)
+    )
     eye = eye[measured.rows]
     state = _begun(measured, positions.plane, motion, 0)
     states = [state]
@@ -443,17 +447,17 @@ def _of_place(shared_m2: FloatArray) -> FloatArray:
 
 
 def _updated(
-    state: MotionState, measured: Measurements, eye_m: FloatArray, i: int, lag_s: float
+    state: MotionState, measured: Measurements, camera_position_m: FloatArray, i: int, lag_s: float
 ) -> MotionState:
     """A state, predicted to its time, with one more position (an iterated Kalman filter)."""
     motion = state.motion
-    sight, axes = _sight(measured.en_m[i : i + 1] - eye_m)
+    sight, axes = _line_of_sight(measured.en_m[i : i + 1] - camera_position_m)
     noise = axes[0] @ measured.covariance_m2[i] @ axes[0].T
     # Errors that last make boxes that follow each other closely one box.
     noise = noise * max(1.0, 2.0 * motion.correlation_time_s / max(lag_s, 1e-3))
     expected, covariance = state.mean[0], state.covariance[0]
     at, place = expected, covariance[:, :2, :2]
-    there, design = _sight(expected[:, :2] - eye_m)
+    there, design = _line_of_sight(expected[:, :2] - camera_position_m)
     off = _off(sight, there)
     spread = design @ place @ np.swapaxes(design, 1, 2) + noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
@@ -466,7 +470,7 @@ def _updated(
     weight = np.exp(likely - likely.max())
     for k in range(_ITERATIONS):
         if k > 0:
-            there, design = _sight(at[:, :2] - eye_m)
+            there, design = _line_of_sight(at[:, :2] - camera_position_m)
         cross = covariance[:, :, :2] @ np.swapaxes(design, 1, 2)
         gain = cross @ np.linalg.inv(design @ place @ np.swapaxes(design, 1, 2) + noise)
         rest = _off(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
@@ -481,7 +485,7 @@ def _updated(
     )
 
 
-def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bearing and inverse range (N, 2) of places (N, 2), and their derivatives (N, 2, 2)."""
     east, north = en_m.T
     range_m = np.maximum(np.hypot(east, north), _NEAREST_M)
