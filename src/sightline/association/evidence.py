@@ -28,7 +28,7 @@ from sightline.types import FloatArray, IntArray
 SURE = 0.5
 """An observation is a vessel's where that is likelier than not."""
 
-LEAST_GAIN = 4.0
+LEAST_LOG_LIKELIHOOD_RATIO = 4.0
 """A track is a vessel's where the log foretells so much of it, in nats."""
 
 _LEAST_SHARE = 0.5
@@ -46,13 +46,13 @@ class Match:
         recording: Index of the recording.
         vessel: Index of the log in the recording.
         rows: (K,) its observations, in the order of time.
-        gain: How much the log foretells of it, in nats; the choice of the vessel is paid.
+        log_likelihood_ratio: How much the log foretells of it, in nats; the choice of the vessel is paid.
     """
 
     recording: int
     vessel: int
     rows: IntArray
-    gain: float
+    log_likelihood_ratio: float
 
 
 def matches(
@@ -70,10 +70,10 @@ def matches(
             rows = _rows(watch.seen, share[vessel], predicted[vessel])
             if rows.size < 3:
                 continue
-            gain = _gain(watch.seen, rows, predicted[vessel], density, found)
-            gain -= float(np.log(len(watch.paths)))
-            if gain > LEAST_GAIN:
-                mine.append(Match(index, vessel, rows, gain))
+            ratio = _log_likelihood_ratio(watch.seen, rows, predicted[vessel], density, found)
+            ratio -= float(np.log(len(watch.paths)))
+            if ratio > LEAST_LOG_LIKELIHOOD_RATIO:
+                mine.append(Match(index, vessel, rows, ratio))
         out.extend(_apart(mine))
     return out
 
@@ -90,7 +90,7 @@ def _rows(seen: TrackObservations, share: FloatArray, predicted: FloatArray) -> 
     return np.asarray(rows[np.argsort(seen.time_utc_s[rows], kind="stable")])
 
 
-def _gain(
+def _log_likelihood_ratio(
     seen: TrackObservations,
     rows: IntArray,
     predicted: FloatArray,
@@ -151,7 +151,7 @@ def _density(seen: TrackObservations, size_px: tuple[int, int]) -> FloatArray:
 def _apart(found: list[Match]) -> list[Match]:
     """Matches of which no two have much in common; the surer one stays."""
     kept: list[Match] = []
-    for match in sorted(found, key=lambda one: -one.gain):
+    for match in sorted(found, key=lambda one: -one.log_likelihood_ratio):
         if all(np.isin(match.rows, other.rows).mean() < 0.2 for other in kept):
             kept.append(match)
     return kept

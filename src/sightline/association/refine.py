@@ -229,8 +229,8 @@ class Refiner:
         information = np.diag(self._precision)
         for index, watch in enumerate(self.watches):
             found = self._predict(state, index, noise)
-            share, standard, gain = self._shares(found, index, 1.0)
-            score += gain
+            share, standard, ratio = self._shares(found, index, 1.0)
+            score += ratio
             size = (len(watch.paths), len(watch.seen))
             full, apart = np.zeros(size), np.full(size, np.inf)
             pixel = np.full((*size, 2), np.nan)
@@ -333,8 +333,8 @@ class Refiner:
         share = ratio / (1.0 + total[found.row])
         # Whatever is seen at a moment, a vessel is one of it.
         weight = min(seen.interval_s / CORRELATION_TIME_S, 1.0)
-        gain = weight * float(np.sum(np.log1p(total)))
-        return share, np.sqrt(square), gain
+        ratio = weight * float(np.sum(np.log1p(total)))
+        return share, np.sqrt(square), ratio
 
     def _normal(
         self, found: _Predicted, index: int, share: FloatArray, widen: float = 1.0

@@ -53,7 +53,7 @@ class Moved:
         pitch_deg: Downwards.
         roll_deg: The right end of the horizon downwards.
         sigma_deg: Standard deviations of the three.
-        gain: By how much likelier the boxes are with the turn than without it, in nats.
+        log_likelihood_ratio: By how much likelier the boxes are with the turn than without it, in nats.
     """
 
     recording: str
@@ -62,7 +62,7 @@ class Moved:
     pitch_deg: float
     roll_deg: float
     sigma_deg: tuple[float, float, float]
-    gain: float
+    log_likelihood_ratio: float
 
     @property
     def angles(self) -> str:
@@ -157,7 +157,7 @@ def lies_since(
         if name not in seen:
             said.append(
                 f"The camera was turned: from recording {name} on by {moved.angles} against the "
-                f"old model, by its boxes ({moved.gain:.0f} nats)."
+                f"old model, by its boxes ({moved.log_likelihood_ratio:.0f} nats)."
             )
         elif model.rotation_in(seen[name]) is None:
             said.append(
@@ -226,15 +226,15 @@ def _turn(
             normal = a.T @ (a * thin[:, None]) + np.eye(3) / np.radians(_MOST_DEG) ** 2
             turn = np.linalg.solve(normal, a.T @ (b * thin))
             left = b - a @ turn
-        gain = weight * float(np.sum(_huber(b) - _huber(left)))
-        if best is None or gain > best[0]:
-            best = (gain, first, turn, np.linalg.inv(normal))
+        ratio = weight * float(np.sum(_huber(b) - _huber(left)))
+        if best is None or ratio > best[0]:
+            best = (ratio, first, turn, np.linalg.inv(normal))
     assert best is not None, "there are enough boxes"
-    gain, first, turn, covariance = best
+    ratio, first, turn, covariance = best
     # The moment was chosen among so many.
-    gain -= float(np.log(time_s.size))
+    ratio -= float(np.log(time_s.size))
     degrees = np.degrees(turn)
-    if gain < _SURE or np.abs(degrees).max() < _LEAST_DEG:
+    if ratio < _SURE or np.abs(degrees).max() < _LEAST_DEG:
         return None
     heading_deg, pitch_deg, roll_deg = degrees.tolist()
     spread = np.degrees(np.sqrt(np.diag(covariance)))
@@ -245,7 +245,7 @@ def _turn(
         pitch_deg=pitch_deg,
         roll_deg=roll_deg,
         sigma_deg=(float(spread[0]), float(spread[1]), float(spread[2])),
-        gain=gain,
+        log_likelihood_ratio=ratio,
     )
 
 
