@@ -74,7 +74,7 @@ def log_density(motion: MotionModel, windows: Windows) -> float:
 
 
 def _followed(motion: MotionModel, windows: Windows) -> MotionState:
-    """The states at the ends of all windows (a Kalman filter a manner, mixed in between)."""
+    """The states at the ends of all windows (a Kalman filter a mode, mixed in between)."""
     places = windows.before_m
     start = np.concatenate([places[:, 0], np.zeros((len(places), 2))], axis=1)
     doubt = np.diag([SIGMA_M**2, SIGMA_M**2, 25.0, 25.0])

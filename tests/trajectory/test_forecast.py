@@ -115,12 +115,12 @@ def simulated(
         for q, noise in zip(motion.accelerations_m2ps3, noises, strict=True)
     ]
     state = np.array([rng.uniform(-60, 60), rng.uniform(80, 200), *rng.normal(0.0, 2.0, 2)])
-    manner = rng.choice(motion.shares.size, p=motion.shares)
+    mode = rng.choice(motion.shares.size, p=motion.shares)
     out = [state]
     for _ in range(int(seconds / step_s)):
         if rng.random() > np.exp(-step_s / motion.manner_s):
-            manner = rng.choice(motion.shares.size, p=motion.shares)
-        state = moves[manner] @ state + roots[manner] @ rng.standard_normal(4)
+            mode = rng.choice(motion.shares.size, p=motion.shares)
+        state = moves[mode] @ state + roots[mode] @ rng.standard_normal(4)
         out.append(state)
     return np.array(out)
 

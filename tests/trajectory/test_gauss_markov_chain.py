@@ -27,7 +27,7 @@ def _nodes(seed: int, n: int) -> chain.Nodes:
         axes=axes.reshape(n, 2, 2),
         root_m=root,
         count=rng.integers(1, 6, n).astype(float),
-        agility=rng.uniform(0.1, 5.0, n + 1),
+        process_noise_scale=rng.uniform(0.1, 5.0, n + 1),
     )
 
 
@@ -74,7 +74,7 @@ def _batch(
         step[4, 4] = step[5, 5] = np.exp(-dt / tau)
         noise = np.zeros((6, 6))
         part = np.searchsorted(nodes.time_s, 0.5 * (times[k] + times[k + 1]))
-        q = p.q_m2ps3 * nodes.agility[part]
+        q = p.q_m2ps3 * nodes.process_noise_scale[part]
         for i in (0, 1):
             noise[i, i], noise[i + 2, i + 2] = q * dt**3 / 3.0, q * dt
             noise[i, i + 2] = noise[i + 2, i] = q * dt**2 / 2.0
@@ -168,7 +168,7 @@ def test_likelihood_ratios_are_those_of_the_normal_density(
 ) -> None:
     # The dense covariance cannot hold a position of 1e6 m beside metres in double precision.
     monkeypatch.setattr(chain, "POSITION_PRECISION", 1e-4)
-    nodes = replace(_nodes(6, 10), agility=np.ones(11))
+    nodes = replace(_nodes(6, 10), process_noise_scale=np.ones(11))
     variants = [
         _parameters(),
         _parameters(q_m2ps3=2.0),
@@ -200,7 +200,7 @@ def test_gradient_of_the_likelihood_is_its_slope(q_m2ps3: float, n: int) -> None
 @pytest.mark.parametrize("q_m2ps3", [0.02, 0.3, 5.0])
 def test_energy_and_draws_are_the_slope_of_the_likelihood(q_m2ps3: float) -> None:
     """By Fisher's identity: d(-2 log L) / d log q is the draws less the energy over q."""
-    nodes = replace(_nodes(7, 15), agility=np.ones(16))
+    nodes = replace(_nodes(7, 15), process_noise_scale=np.ones(16))
     step = 1e-4
     up, down = (
         chain.minus_two_log_likelihood(nodes, _parameters(q_m2ps3=q_m2ps3 * np.exp(sign * step)))[0]

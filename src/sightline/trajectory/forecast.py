@@ -1,7 +1,7 @@
 r"""Where a target will be: its state by what was seen so far, and the same moved on in time.
 
 A target goes straight, turns left or right, or turns hard, and changes between these after some
-time. In each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest,
+time. In each of these modes its velocity turns at a rate :math:`\omega` and reverts to rest,
 slowly where it goes straight and faster where it turns, under white acceleration: an integrated
 Ornstein-Uhlenbeck process, which, other than constant velocity, stays honest for minutes
 (Millefiori et al., "Modeling vessel kinematics using a stochastic mean-reverting process for
@@ -11,7 +11,7 @@ one complex number it is
 .. math:: \dot p = v, \qquad \dot v = -\lambda v + \text{noise}, \qquad
           \lambda = 1 / \tau - i \omega .
 
-Which of the manners holds is followed by an interacting multiple-model filter (Blom and
+Which of the modes holds is followed by an interacting multiple-model filter (Blom and
 Bar-Shalom, *IEEE Trans. Autom. Control* 33(8), 1988). It uses no box that comes after the moment
 that it speaks of.
 
@@ -50,10 +50,10 @@ class MotionModel:
     """How targets move when nobody knows better.
 
     Attributes:
-        turn_rate_radps: Of the two manners in which a target turns, radians a second.
+        turn_rate_radps: Of the two modes in which a target turns, radians a second.
         hard_turn_rate_radps: Of the two in which it turns hard, as small boats do.
         hard_share: Share of the time of turning in which it turns hard.
-        manner_s: Mean time in one manner.
+        manner_s: Mean time in one mode.
         straight_share: Share of the time in which targets go straight.
         straight_s: Time constant with which the velocity reverts to rest while it goes straight.
         turning_s: The same while it turns.
@@ -95,25 +95,25 @@ class MotionModel:
 
     @property
     def turn_rates_radps(self) -> FloatArray:
-        """(5,) of the manners: straight, left, right, hard to the left, hard to the right."""
+        """(5,) of the modes: straight, left, right, hard to the left, hard to the right."""
         usual, hard = self.turn_rate_radps, self.hard_turn_rate_radps
         return np.array([0.0, usual, -usual, hard, -hard])
 
     @property
     def shares(self) -> FloatArray:
-        """(5,) of the time in each manner."""
+        """(5,) of the time in each mode."""
         turning = 0.5 * (1.0 - self.straight_share)
         usual, hard = turning * (1.0 - self.hard_share), turning * self.hard_share
         return np.array([self.straight_share, usual, usual, hard, hard])
 
     @property
     def revertings_s(self) -> FloatArray:
-        """(5,) time constants of the manners."""
+        """(5,) time constants of the modes."""
         return np.array([self.straight_s, *4 * [self.turning_s]])
 
     @property
     def accelerations_m2ps3(self) -> FloatArray:
-        """(5,) spectral densities of the manners."""
+        """(5,) spectral densities of the modes."""
         return np.array([self.straight_m2ps3, *4 * [self.turning_m2ps3]])
 
 
@@ -163,11 +163,11 @@ def _blocks(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> Float
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """What is known of N targets, each at its own moment: a mixture over the K manners of motion.
+    """What is known of N targets, each at its own moment: a mixture over the K modes of motion.
 
     Attributes:
         time_utc_s: (N,) float64, POSIX seconds.
-        weight: (N, K) float64, probability of each manner.
+        weight: (N, K) float64, probability of each mode.
         mean: (N, K, 4) float64, metres east and north, and their velocities.
         covariance: (N, K, 4, 4) float64, without what all positions of a target share.
         shared: (N, 4, 4) float64, what they share. What is of a camera that stands still is of the
@@ -235,7 +235,7 @@ class MotionState:
         plane: LocalPlane,
         motion: MotionModel | None = None,
     ) -> MotionState:
-        """States of which nobody knows in which manner they move: those of a tracker, say.
+        """States of which nobody knows in which mode they move: those of a tracker, say.
 
         Args:
             time_utc_s: (N,) POSIX seconds.
@@ -294,7 +294,7 @@ class MotionState:
         )
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (N, 4) and covariance (N, 4, 4) over all manners, what is shared included."""
+        """Mean (N, 4) and covariance (N, 4, 4) over all modes, what is shared included."""
         mean = np.einsum("nk,nki->ni", self.weight, self.mean)
         off = self.mean - mean[:, None]
         spread = self.covariance + off[..., :, None] * off[..., None, :]
@@ -357,7 +357,7 @@ def _root(matrix: FloatArray) -> FloatArray:
 def _mixed(
     weight: FloatArray, mean: FloatArray, covariance: FloatArray, change: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The mixture after a chance to change the manner; each again as one normal distribution."""
+    """The mixture after a chance to change the mode; each again as one normal distribution."""
     joint = weight[:, :, None] * change
     after = joint.sum(axis=1)
     share = joint / np.maximum(after, 1e-300)[:, None, :]
@@ -461,7 +461,7 @@ def _updated(
     off = _off(sight, there)
     spread = design @ place @ np.swapaxes(design, 1, 2) + noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
-    # How far from the expected place a position may be is asked once, of all manners.
+    # How far from the expected place a position may be is asked once, of all modes.
     far = max(1.0, float(distance2.min()) / motion.outlier_gate**2)
     noise, spread = far * noise, spread + (far - 1.0) * noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)

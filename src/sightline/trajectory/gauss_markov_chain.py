@@ -44,7 +44,7 @@ class Nodes:
         root_m: (N, 2, 2) float64, lower Cholesky factor of one measurement's stated covariance
             in those axes.
         count: (N,) float64, how many measurements the node is the mean of.
-        agility: (N + 1,) float64, by how much the spectral density of the acceleration differs
+        process_noise_scale: (N + 1,) float64, by how much the spectral density of the acceleration differs
             from the usual one: before the first node, between nodes, after the last.
     """
 
@@ -53,7 +53,7 @@ class Nodes:
     axes: FloatArray
     root_m: FloatArray
     count: FloatArray
-    agility: FloatArray
+    process_noise_scale: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +316,7 @@ class _System:
 
 
 def _system(nodes: Nodes, parameters: Parameters) -> _System:
-    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    q = parameters.q_m2ps3 * nodes.process_noise_scale[1:-1]
     n = nodes.time_s.size
     band = np.zeros((STATE, BAND, n))
 
@@ -439,7 +439,7 @@ def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
         mean=solution.mean[:4].T,
         covariance=solution.covariance[:4, :4].transpose(2, 0, 1),
         cross=solution.cross[:4, :4].transpose(2, 0, 1),
-        q_m2ps3=parameters.q_m2ps3 * nodes.agility,
+        q_m2ps3=parameters.q_m2ps3 * nodes.process_noise_scale,
     )
 
 
@@ -466,7 +466,7 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
 
     lag = np.diff(nodes.time_s)
     energy, doubt = _energy(lag, mean, own, cross)
-    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    q = parameters.q_m2ps3 * nodes.process_noise_scale[1:-1]
     by_q = 4.0 * lag.size - ((energy + doubt) / q).sum()
 
     # Of the correlated noise: o' = kept o + sqrt(1 - kept²) draw, for both components at once.

@@ -369,5 +369,5 @@ class Linearised:
             axes=axes.transpose(2, 0, 1),
             root_m=root.transpose(2, 0, 1),
             count=count,
-            agility=np.ones(count.size + 1),
+            process_noise_scale=np.ones(count.size + 1),
         )

@@ -239,7 +239,9 @@ class RtsSmoother:
             if self.noise is None and i == 0:
                 noise = _learned(nodes, noise, self.speed_mps)
             elif self.noise is None:
-                nodes = replace(nodes, agility=_agility(posterior, nodes.time_s, noise))
+                nodes = replace(
+                    nodes, process_noise_scale=_process_noise_scale(posterior, nodes.time_s, noise)
+                )
             before = posterior.position_at(nodes.time_s)
             posterior = chain.smooth(nodes, _parameters(noise, self.speed_mps))
             moved2 = ((posterior.mean[:, :2] - before) ** 2).sum(axis=1)
@@ -335,7 +337,9 @@ def _gate(
     return kept if (kept & used).any() else used
 
 
-def _agility(posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel) -> FloatArray:
+def _process_noise_scale(
+    posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel
+) -> FloatArray:
     """How hard the target accelerates in each part of its track, against what is usual for it.
 
     Boats go straight, and then they turn. The spectral density of the acceleration is that which
@@ -375,8 +379,10 @@ def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
         return nodes
     chosen = np.linspace(0, stretch[-1], _STRETCHES).round()
     kept = np.isin(stretch, chosen)
-    columns = {name: column[kept] for name, column in vars(nodes).items() if name != "agility"}
-    return chain.Nodes(**columns, agility=np.ones(int(kept.sum()) + 1))
+    columns = {
+        name: column[kept] for name, column in vars(nodes).items() if name != "process_noise_scale"
+    }
+    return chain.Nodes(**columns, process_noise_scale=np.ones(int(kept.sum()) + 1))
 
 
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
