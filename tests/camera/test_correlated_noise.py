@@ -112,7 +112,7 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> 
     covariance = np.linalg.inv(table[:, :3].T @ table[:, :3] + np.eye(3))
     step = covariance @ table[:, :3].T @ table[:, 3]
     solved = whitening.backward(white)
-    by_variance, by_size, by_length, _ = whitening.slopes(
+    by_variance, by_size, by_length, _ = whitening.gradient(
         solved[:, :, 3] - solved[:, :, :3] @ step, solved[:, :, :3], covariance, DRIFT_S
     )
     given = world.variance_px2.ravel()
@@ -219,7 +219,9 @@ def test_heave_is_another_error_that_lasts() -> None:
 
     solved = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))
     nothing = np.zeros((11, 2, 1))
-    _, by_size, _, by_heave = whitening.slopes(solved[:, :, 0], nothing, np.zeros((1, 1)), DRIFT_S)
+    _, by_size, _, by_heave = whitening.gradient(
+        solved[:, :, 0], nothing, np.zeros((1, 1)), DRIFT_S
+    )
     expected = approx_fprime(np.log([HEAVE_M, DRIFT_M]), negative_log, 1e-6)
     np.testing.assert_allclose([by_heave, by_size], expected, rtol=1e-3, atol=1e-4)
 

@@ -361,9 +361,9 @@ class _Problem:
         if rows.size < 3:
             return
         aspect = self.aspect(vector)[rows]
-        apparent = self.apparent(vector)[rows]
+        pixels_per_metre = self.pixels_per_metre(vector)[rows]
         seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
-        half = float(np.median(s.width_px[rows] / apparent / seen))
+        half = float(np.median(s.width_px[rows] / pixels_per_metre / seen))
         self.mean[TARGET] = half, _BEAM_SHARE * half
         self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
 
@@ -429,7 +429,7 @@ class _Problem:
             place += vector[self.layout.middle] * self.bow.T
         return place[0], place[1]
 
-    def apparent(self, vector: FloatArray) -> FloatArray:
+    def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
         """(N,) how large a metre at the box looks, pixels; zero for control points."""
         s = self.sightings
         slant = np.hypot(
@@ -444,7 +444,7 @@ class _Problem:
         A control point has the pixel part of a box's noise.
         """
         own = replace(noise, heave_m=0.0) if self.heaving else noise
-        return np.stack(own.variances_px2(self.apparent(vector) ** 2), axis=1)
+        return np.stack(own.variances_px2(self.pixels_per_metre(vector) ** 2), axis=1)
 
     def place_sigma(self, noise: PixelNoise) -> FloatArray:
         """(N,) standard deviations of the places, metres; a control point has its own."""
@@ -614,7 +614,7 @@ class _Problem:
         # Variances are these times the squares of the first four of `PixelNoise`.
         parts = np.zeros((4, n, 2))
         parts[0, :, 1] = 1.0
-        parts[1, :, 1] = self.apparent(found.vector) ** 2
+        parts[1, :, 1] = self.pixels_per_metre(found.vector) ** 2
         parts[2, :, 0] = 1.0
         parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
         count = 7 if self.heaving else 6 if self.blocks else 4
@@ -645,16 +645,16 @@ class _Problem:
             value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
             solved = whitening.backward(both)
             covariance = cho_solve(factor, np.eye(size), check_finite=False)
-            by_variance, *by_correlated = whitening.slopes(
+            by_variance, *by_correlated = whitening.gradient(
                 solved[:, :, -1] - solved[:, :, :-1] @ step,
                 solved[:, :, :-1],
                 covariance,
                 correlation_time_s,
             )
             by_part = np.tensordot(parts, by_variance / found.weight, 2)
-            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_correlated])[:count]
+            gradient = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_correlated])[:count]
             belief = (t - centre) / width
-            return value + 0.5 * float(belief @ belief), slopes + belief / width
+            return value + 0.5 * float(belief @ belief), gradient + belief / width
 
         at = np.log([getattr(before, column.name) for column in fields(before)][:count])
         best = minimize(

@@ -213,7 +213,7 @@ class Whitening:
         value = float(np.log(self._sigma[free]).sum())
         return value + sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
 
-    def slopes(
+    def gradient(
         self,
         weights: FloatArray,
         solved: FloatArray,

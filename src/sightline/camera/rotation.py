@@ -293,20 +293,20 @@ def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArr
     rays, there = rays[usable], there[usable]
     unseen = np.radians(_UNSEEN_DEG)
 
-    def off(turn: FloatArray) -> FloatArray:
+    def residual(turn: FloatArray) -> FloatArray:
         seen = camera.pixels(Rotation.from_rotvec(turn).apply(rays))
         left = np.nan_to_num((seen - there)[:, axes].ravel(), nan=_NO_SUCH_TURN_PX)
         return left if moved.landmarks else np.append(left, _LEAST_SIGMA_PX * turn[1] / unseen)
 
     # The first step is by a degree at most; further off, rays may leave the picture.
     found = least_squares(
-        off, np.zeros(3), loss="soft_l1", f_scale=2.0 * _LEAST_SIGMA_PX, x_scale=unseen
+        residual, np.zeros(3), loss="soft_l1", f_scale=2.0 * _LEAST_SIGMA_PX, x_scale=unseen
     )
-    left = off(found.x)
+    left = residual(found.x)
     sigma_px = max(_LEAST_SIGMA_PX, 1.4826 * float(np.median(np.abs(left))))
     if sigma_px > _MOST_SIGMA_PX:
         return None
-    design = _slopes(off, found.x)
+    design = _jacobian(residual, found.x)
     scale = np.full(len(left), sigma_px)
     if not moved.landmarks:
         scale[-1] = _LEAST_SIGMA_PX / max(1.0, float(np.hypot(*found.x[[0, 2]])) / unseen)
@@ -315,10 +315,13 @@ def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArr
     return np.asarray(found.x), np.asarray(np.linalg.inv(known))
 
 
-def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatArray:
+def _jacobian(residual: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatArray:
     step = 1e-5
     return np.stack(
-        [(off(turn + step * axis) - off(turn - step * axis)) / (2.0 * step) for axis in np.eye(3)],
+        [
+            (residual(turn + step * axis) - residual(turn - step * axis)) / (2.0 * step)
+            for axis in np.eye(3)
+        ],
         axis=1,
     )
 

@@ -124,10 +124,10 @@ def track(
     count, points = 0, 0
     with ExitStack() as stack, progress() as tell:
         writers = [stack.enter_context(formats.track_writer(path)) for path in output]
-        prophets = [stack.enter_context(formats.track_writer(path)) for path in ahead]
+        forecast_writers = [stack.enter_context(formats.track_writer(path)) for path in ahead]
 
-        def foretell(forecast: Track) -> None:
-            for writer in prophets:
+        def write_forecast(forecast: Track) -> None:
+            for writer in forecast_writers:
                 writer.add(forecast)
 
         for made in iter_tracks(
@@ -141,7 +141,7 @@ def track(
             water_levels=water,
             settings=settings,
             progress=tell,
-            forecasts=foretell if prophets else None,
+            forecasts=write_forecast if forecast_writers else None,
         ):
             count, points = count + 1, points + len(made)
             for writer in writers:

@@ -178,7 +178,7 @@ class WorldPlane:
         # All boxes are of one moment.
         expected, jacobian = _line_of_sight(state["place"][:, :2] - measured["camera_position"][:1])
         spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
-        off = _off(measured["line_of_sight"][j], expected[i])
+        off = _residual(measured["line_of_sight"][j], expected[i])
         return np.sqrt(_squared(off, spread[i] + measured["noise"][j]))
 
     def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
@@ -211,7 +211,7 @@ class WorldPlane:
         )
         noise = measured["noise"] * repeated[:, None, None]
         gain = cross @ _inverse(jacobian @ cross[:, :2] + noise)
-        off = _off(measured["line_of_sight"], expected)
+        off = _residual(measured["line_of_sight"], expected)
         state["place"] = place + (gain @ off[:, :, None])[:, :, 0]
         left = doubt - gain @ cross.transpose(0, 2, 1)
         state["doubt"] = 0.5 * (left + left.transpose(0, 2, 1))
@@ -323,7 +323,7 @@ def _on_both_axes(matrix: FloatArray) -> FloatArray:
     return out
 
 
-def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
+def _residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
     """(N, 2) differences, that of the bearing in (-pi, pi]."""
     off = measured - expected
     off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi

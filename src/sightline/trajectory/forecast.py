@@ -458,7 +458,7 @@ def _updated(
     expected, covariance = state.mean[0], state.covariance[0]
     at, place = expected, covariance[:, :2, :2]
     there, design = _line_of_sight(expected[:, :2] - camera_position_m)
-    off = _off(sight, there)
+    off = _residual(sight, there)
     spread = design @ place @ np.swapaxes(design, 1, 2) + noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
     # How far from the expected place a position may be is asked once, of all modes.
@@ -473,7 +473,7 @@ def _updated(
             there, design = _line_of_sight(at[:, :2] - camera_position_m)
         cross = covariance[:, :, :2] @ np.swapaxes(design, 1, 2)
         gain = cross @ np.linalg.inv(design @ place @ np.swapaxes(design, 1, 2) + noise)
-        rest = _off(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
+        rest = _residual(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
         at = expected + np.einsum("kij,kj->ki", gain, rest)
     left = covariance - gain @ np.swapaxes(cross, 1, 2)
     return replace(
@@ -498,7 +498,7 @@ def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     return sight, rows
 
 
-def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
+def _residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
     off = measured - expected
     off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi
     return np.asarray(off)
