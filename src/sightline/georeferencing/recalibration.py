@@ -43,7 +43,7 @@ _MOST_DEG = 3.0
 
 
 @dataclass(frozen=True)
-class Moved:
+class CameraChange:
     """How a camera was turned since its model was fitted.
 
     Attributes:
@@ -74,7 +74,7 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Since:
+class CameraChangeReport:
     """What a new day says of how the camera of a model lies now.
 
     Attributes:
@@ -117,11 +117,11 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     return replace(prior, pitch_deg=(camera.pitch_deg, pitch), roll_deg=(camera.roll_deg, roll))
 
 
-def lies_since(
+def detect_camera_change(
     model: Georeferencer,
     pairs: Correspondences,
     static_intervals: Mapping[str, Sequence[StaticInterval]],
-) -> Since:
+) -> CameraChangeReport:
     """Whether a camera was turned since its model was fitted.
 
     Pictures tell it where they show what the model's view shows, to some hundredths of a degree;
@@ -135,9 +135,9 @@ def lies_since(
     Raises:
         InputError: The model has no camera.
     """
-    by_boxes = {moved.recording: moved for moved in moved_since(model, pairs)}
+    by_boxes = {moved.recording: moved for moved in camera_changes(model, pairs)}
     camera, view = model.camera, model.view
-    assert camera is not None, "refused by `moved_since`"
+    assert camera is not None, "refused by `camera_changes`"
     seen = {
         name: own
         for name, own in static_intervals.items()
@@ -170,12 +170,12 @@ def lies_since(
         said = [
             f"The camera stands as it did when the old model was fitted, as far as the {what} tell."
         ]
-    return Since(turned=by_pictures or bool(by_boxes), statements=tuple(said))
+    return CameraChangeReport(turned=by_pictures or bool(by_boxes), statements=tuple(said))
 
 
-def moved_since(
+def camera_changes(
     model: Georeferencer, pairs: Correspondences, *, correlation_time_s: float = 2.0
-) -> tuple[Moved, ...]:
+) -> tuple[CameraChange, ...]:
     """Where boxes say that the camera was turned; nothing where it was not.
 
     Args:
@@ -203,7 +203,7 @@ def moved_since(
 
 def _turn(
     model: Georeferencer, pairs: Correspondences, name: str, correlation_time_s: float
-) -> Moved | None:
+) -> CameraChange | None:
     residual, jacobian, sigma, time_s = _residuals(model, pairs)
     standard = residual / sigma
     assert model.camera is not None, "the caller has looked"
@@ -238,7 +238,7 @@ def _turn(
         return None
     heading_deg, pitch_deg, roll_deg = degrees.tolist()
     spread = np.degrees(np.sqrt(np.diag(covariance)))
-    return Moved(
+    return CameraChange(
         recording=name,
         since_utc_s=float(time_s[first]),
         heading_deg=heading_deg,

@@ -23,7 +23,7 @@ from sightline.georeferencing.fit import FitInputs, FitSettings
 from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
-from sightline.georeferencing.recalibration import lies_since, prior_of
+from sightline.georeferencing.recalibration import detect_camera_change, prior_of
 from sightline.pipeline.fit import fit
 from sightline.progress import Progress
 from sightline.reference_trajectory import ReferenceTrajectory
@@ -340,7 +340,7 @@ def update_scene(
         source_priors = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
     static_intervals = scene_static_intervals(scene, progress)
-    now = lies_since(old, pairs, static_intervals)
+    now = detect_camera_change(old, pairs, static_intervals)
     prior = replace(
         prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,
