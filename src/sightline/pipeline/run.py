@@ -24,7 +24,13 @@ from sightline.pipeline.evaluate import (
     recordings_with_correspondences,
 )
 from sightline.pipeline.fit_unlabelled import fit_scene
-from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
+from sightline.pipeline.sources import (
+    LOOKED_AT,
+    FrameRateError,
+    check_frame_rate,
+    from_memory,
+    timed,
+)
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
@@ -174,7 +180,7 @@ def _track_each(
         try:
             made = track_recording(recording, fitted, seen, settings)
             judged = made if held is fitted else track_recording(recording, held, seen, settings)
-        except SeldomError as error:
+        except FrameRateError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
         else:
@@ -315,12 +321,12 @@ def track_recording(
         made = smooth_boxes(located, smoother, settings, track_id=1, platform=platform)
         return [] if made is None else [made]
     if recording.detections_path is not None:
-        batches, highest_id = in_hand(recording.detections())
+        batches, highest_id = from_memory(recording.detections())
     else:
-        refuse_seldom(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
+        check_frame_rate(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
         batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK
-    with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    observed = map(history.observed, with_times)
+    dated = (with_times(boxes, None, model, f"{where}: ") for boxes in batches)
+    observed = map(history.observed, dated)
     return list(follow(observed, model, smoother, settings, highest_id, platform))
 
 

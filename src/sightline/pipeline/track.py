@@ -19,16 +19,16 @@ from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.pipeline.sources import (
+    check_frame_rate,
     fit_for_use,
     follows_on_earth,
-    in_hand,
+    from_memory,
     is_table,
     make_detector,
     moments,
     read_table,
-    refuse_seldom,
-    timed,
     whole_moments,
+    with_times,
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.progress import Progress
@@ -230,10 +230,12 @@ def iter_tracks(
     where = "" if isinstance(source, Boxes) else f"{source}: "
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
-        batches, highest_id = in_hand(source) if isinstance(source, Boxes) else read_table(source)
+        batches, highest_id = (
+            from_memory(source) if isinstance(source, Boxes) else read_table(source)
+        )
         history = CameraHistory(horizons=horizons, water=water)
-        with_times = (timed(boxes, clock, model, where) for boxes in batches)
-        observed: Iterator[ObservedBoxes] = map(history.observed, with_times)
+        dated = (with_times(boxes, clock, model, where) for boxes in batches)
+        observed: Iterator[ObservedBoxes] = map(history.observed, dated)
     else:
         highest_id = NO_TRACK
         monitor = CameraMotionMonitor(
@@ -244,7 +246,7 @@ def iter_tracks(
         if model.horizon_px is not None:
             usable = with_horizons(usable)
         found = detect(usable, make_detector(detector, model), frame_count(source), progress)
-        observed = monitor.observed(timed(boxes, None, model, where) for boxes in found)
+        observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
     yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
 
 
@@ -280,7 +282,7 @@ def follow(
         forecasts: See `iter_tracks`.
 
     Raises:
-        SeldomError: No target could be followed, since the boxes come too seldom.
+        FrameRateError: No target could be followed, since the boxes come too seldom.
     """
     first_s: list[float] = []
     book = _OpenTracks(settings, highest_id)
@@ -307,7 +309,7 @@ def follow(
                 forecasts(_forecast(boxes, settings, made, platform))
             yield made
     if count == 0:
-        refuse_seldom(first_s, "boxes", model)
+        check_frame_rate(first_s, "boxes", model)
 
 
 def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform | None) -> Tracker:
