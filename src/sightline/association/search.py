@@ -150,9 +150,9 @@ def candidates(
             total[lens, height][more] = smooth[more]
             which[lens, height][more] = number
     prior = CameraPrior()
-    heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.height_log_sigma) ** 2
+    heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.log_height_sigma) ** 2
     focal = np.array([focal for focal, _ in lenses]) / (prior.focal_widths * image_size_px[0])
-    longs = -0.5 * (np.log(focal) / prior.focal_log_sigma) ** 2
+    longs = -0.5 * (np.log(focal) / prior.log_focal_sigma) ** 2
     total += (longs[:, None, None, None] + heights[None, :, None, None]).astype(np.float32)
     out: list[Candidate] = []
     # Each lens and height has its own peaks; the best are looked at in turn.

@@ -40,12 +40,12 @@ class CameraPrior:
     """What is believed of a camera before any data, as means and standard deviations.
 
     Attributes:
-        height_m: Median; ``height_log_sigma`` is the standard deviation of its logarithm.
-        height_log_sigma: See ``height_m``.
+        height_m: Median; ``log_height_sigma`` is the standard deviation of its logarithm.
+        log_height_sigma: See ``height_m``.
         pitch_deg: Mean and standard deviation.
         roll_deg: Mean and standard deviation.
         focal_widths: Median focal length in image widths.
-        focal_log_sigma: Standard deviation of the logarithm of the focal length.
+        log_focal_sigma: Standard deviation of the logarithm of the focal length.
         k1_sigma: About zero.
         k2_sigma: About zero.
         half_length_m: Mean and standard deviation; of the target.
@@ -62,11 +62,11 @@ class CameraPrior:
     """
 
     height_m: float = 5.0
-    height_log_sigma: float = 0.7
+    log_height_sigma: float = 0.7
     pitch_deg: tuple[float, float] = (5.0, 15.0)
     roll_deg: tuple[float, float] = (0.0, 3.0)
     focal_widths: float = 0.8
-    focal_log_sigma: float = 0.3
+    log_focal_sigma: float = 0.3
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
     half_length_m: tuple[float, float] = (0.0, 2.0)
@@ -104,11 +104,11 @@ class CameraPrior:
         )
         sigma[CAMERA] = camera_vector(
             {
-                LOG_HEIGHT: self.height_log_sigma,
+                LOG_HEIGHT: self.log_height_sigma,
                 PITCH: np.radians(self.pitch_deg[1]),
                 ROLL: np.radians(self.roll_deg[1]),
                 HEADING: np.inf,
-                LOG_FOCAL: self.focal_log_sigma,
+                LOG_FOCAL: self.log_focal_sigma,
                 K1: self.k1_sigma,
                 K2: self.k2_sigma,
             }

@@ -50,7 +50,7 @@ class CameraRotation:
         covariance_rad2: (K, 3, 3).
         heading_known: (K,) bool, whether the turn about the vertical was seen.
         camera: The camera of the model.
-        focal_log_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
+        log_focal_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
             turn unsure, and not where levelled boxes lie: the same lens measures the turn and takes
             it off.
     """
@@ -61,7 +61,7 @@ class CameraRotation:
     covariance_rad2: FloatArray
     heading_known: BoolArray
     camera: Camera
-    focal_log_sigma: float = 0.0
+    log_focal_sigma: float = 0.0
 
     @classmethod
     def of(
@@ -70,7 +70,7 @@ class CameraRotation:
         camera: Camera,
         reference: ReferenceView | None = None,
         *,
-        focal_log_sigma: float = 0.0,
+        log_focal_sigma: float = 0.0,
     ) -> CameraRotation | None:
         """The turns of a recording; None where the camera was not turned, or nothing tells.
 
@@ -79,7 +79,7 @@ class CameraRotation:
             camera: Of the model.
             reference: What the camera of the model saw; None, or not to be compared: the first
                 static_interval is taken to be the model's.
-            focal_log_sigma: Of the camera.
+            log_focal_sigma: Of the camera.
         """
         if not static_intervals:
             return None
@@ -122,7 +122,7 @@ class CameraRotation:
             covariance_rad2=np.array(covariances[1:]),
             heading_known=np.array(known[1:]),
             camera=camera,
-            focal_log_sigma=focal_log_sigma,
+            log_focal_sigma=log_focal_sigma,
         )
 
     def __len__(self) -> int:
@@ -141,7 +141,7 @@ class CameraRotation:
         """(K, 3) standard deviations of `angles_deg`."""
         variance = np.diagonal(self.covariance_rad2, axis1=1, axis2=2)[:, [1, 0, 2]]
         # A roll is an angle in the picture itself.
-        lens = self.focal_log_sigma * self.angles_deg * [1.0, 1.0, 0.0]
+        lens = self.log_focal_sigma * self.angles_deg * [1.0, 1.0, 0.0]
         return np.hypot(np.degrees(np.sqrt(variance)), lens)
 
     def at(self, time_utc_s: FloatArray) -> tuple[FloatArray, FloatArray]:

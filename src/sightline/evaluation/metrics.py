@@ -52,7 +52,7 @@ class ScoredPairs:
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
         camera_position_m: (N, 2) float64, east and north of the camera; absent: at the origin.
-        log_sigma_m: (N,) float64, how far off the log itself is believed to be, east and north;
+        reference_sigma_m: (N,) float64, how far off the log itself is believed to be, east and north;
             absent: not at all.
 
     Raises:
@@ -69,7 +69,7 @@ class ScoredPairs:
     asked: int
     without_position: int = 0
     camera_position_m: FloatArray | None = None
-    log_sigma_m: FloatArray | None = None
+    reference_sigma_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = np.size(self.time_utc_s)
@@ -83,8 +83,10 @@ class ScoredPairs:
             np.zeros((n, 2)) if self.camera_position_m is None else self.camera_position_m
         )
         self._freeze("camera_position_m", np.array(camera_position_m, dtype=np.float64), (n, 2))
-        log_sigma_m = np.zeros(n) if self.log_sigma_m is None else self.log_sigma_m
-        self._freeze("log_sigma_m", np.array(log_sigma_m, dtype=np.float64), (n,))
+        reference_sigma_m = (
+            np.zeros(n) if self.reference_sigma_m is None else self.reference_sigma_m
+        )
+        self._freeze("reference_sigma_m", np.array(reference_sigma_m, dtype=np.float64), (n,))
         if self.asked < n:
             raise InputError(f"{n} pairs cannot come from {self.asked} times")
 
@@ -120,7 +122,7 @@ class ScoredPairs:
                     "true_north_m",
                     "segment",
                     "camera_position_m",
-                    "log_sigma_m",
+                    "reference_sigma_m",
                 )
             },
             asked=sum(part.asked for part in parts),
@@ -129,8 +131,8 @@ class ScoredPairs:
 
     def with_log_error(self) -> ScoredPairs:
         """The same, with covariances that answer for the log's own error as well."""
-        assert self.log_sigma_m is not None, "filled in where it is absent"
-        of_log = np.square(self.log_sigma_m)[:, None, None] * np.eye(2)
+        assert self.reference_sigma_m is not None, "filled in where it is absent"
+        of_log = np.square(self.reference_sigma_m)[:, None, None] * np.eye(2)
         return replace(self, covariance_m2=self.covariance_m2 + of_log)
 
     @property
@@ -162,7 +164,7 @@ def pair_positions(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
-    log_sigma_m: float = 0.0,
+    reference_sigma_m: float = 0.0,
 ) -> ScoredPairs:
     """Single positions beside a log, as one segment.
 
@@ -172,7 +174,7 @@ def pair_positions(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
 
     Raises:
         InputError: There are more times than positions or the reverse.
@@ -193,7 +195,7 @@ def pair_positions(
         asked=times.size,
         without_position=int((log.matched & ~positions.known).sum()),
         camera_position_m=_camera_position(platform, times[keep], positions.plane),
-        log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
+        reference_sigma_m=np.full(int(keep.sum()), reference_sigma_m),
     )
 
 
@@ -209,7 +211,7 @@ def pair_track(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
-    log_sigma_m: float = 0.0,
+    reference_sigma_m: float = 0.0,
 ) -> ScoredPairs:
     """A track beside a log at the track's own times, as one segment.
 
@@ -218,7 +220,7 @@ def pair_track(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
     """
     log = synchronise(fixes, track.time_utc_s, track.plane, largest_gap_s=largest_gap_s)
     keep = log.matched
@@ -232,7 +234,7 @@ def pair_track(
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=len(track),
         camera_position_m=_camera_position(platform, track.time_utc_s[keep], track.plane),
-        log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
+        reference_sigma_m=np.full(int(keep.sum()), reference_sigma_m),
     )
 
 
@@ -293,7 +295,7 @@ class Coverage:
         p50: Share of the log's positions inside the stated 50 % ellipse; NaN where none is stated.
         p95: The same of the 95 % ellipse.
         n: Correspondences that state a covariance.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north, root mean
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north, root mean
             square; 0 where nobody says.
         p50_with_log: As ``p50``, of ellipses that answer for the log's own error as well.
         p95_with_log: The same of the 95 % ellipse.
@@ -302,7 +304,7 @@ class Coverage:
     p50: float
     p95: float
     n: int
-    log_sigma_m: float
+    reference_sigma_m: float
     p50_with_log: float
     p95_with_log: float
 
@@ -499,7 +501,7 @@ def covered(pairs: ScoredPairs, probability: ArrayLike) -> FloatArray:
 
 def coverage(pairs: ScoredPairs) -> Coverage:
     """How often the truth lies inside the stated 50 % and 95 % ellipses."""
-    assert pairs.log_sigma_m is not None, "filled in where it is absent"
+    assert pairs.reference_sigma_m is not None, "filled in where it is absent"
     p50, p95 = covered(pairs, (0.5, 0.95))
     p50_with_log, p95_with_log = covered(pairs.with_log_error(), (0.5, 0.95))
     stated = np.isfinite(pairs.covariance_m2).all(axis=(1, 2))
@@ -507,7 +509,9 @@ def coverage(pairs: ScoredPairs) -> Coverage:
         p50=float(p50),
         p95=float(p95),
         n=int(stated.sum()),
-        log_sigma_m=float(np.sqrt(_mean(pairs.log_sigma_m[stated] ** 2))) if stated.any() else 0.0,
+        reference_sigma_m=float(np.sqrt(_mean(pairs.reference_sigma_m[stated] ** 2)))
+        if stated.any()
+        else 0.0,
         p50_with_log=float(p50_with_log),
         p95_with_log=float(p95_with_log),
     )

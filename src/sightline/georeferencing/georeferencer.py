@@ -91,7 +91,7 @@ class Georeferencer:
         return self.regressor if isinstance(self.regressor, CameraRegressor) else None
 
     @property
-    def log_sigma_m(self) -> float:
+    def reference_sigma_m(self) -> float:
         """How far off the logs that it learned from were, metres east and north.
 
         The part that lasts: what changes from fix to fix cannot be told from the boxes' own noise,
@@ -306,9 +306,9 @@ class Georeferencer:
         fit = self.regressor.camera_fit
         if fit is None or self.moving:
             return None
-        focal_log_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
+        log_focal_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
         return CameraRotation.of(
-            static_intervals, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
+            static_intervals, fit.camera, view or self.view, log_focal_sigma=log_focal_sigma
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:

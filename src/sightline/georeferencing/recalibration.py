@@ -107,9 +107,9 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     prior = replace(
         usual,
         height_m=camera.height_m,
-        height_log_sigma=min(float(sigma[LOG_HEIGHT]), usual.height_log_sigma),
+        log_height_sigma=min(float(sigma[LOG_HEIGHT]), usual.log_height_sigma),
         focal_widths=camera.focal_px / model.image_size_px[0],
-        focal_log_sigma=min(float(sigma[LOG_FOCAL]), usual.focal_log_sigma),
+        log_focal_sigma=min(float(sigma[LOG_FOCAL]), usual.log_focal_sigma),
     )
     if turned:
         return prior

@@ -113,7 +113,7 @@ class LocatedRecording:
             positions_on_earth(self.boxes, self.platform),
             self.fixes,
             platform=self.platform,
-            log_sigma_m=self.model.log_sigma_m,
+            reference_sigma_m=self.model.reference_sigma_m,
         )
 
     def track(self, trajectory: str | TrajectoryMethod) -> Track | None:
@@ -182,7 +182,10 @@ def score(
             if made is None:
                 continue
             pairs = pair_track(
-                made, one.fixes, platform=one.platform, log_sigma_m=one.model.log_sigma_m
+                made,
+                one.fixes,
+                platform=one.platform,
+                reference_sigma_m=one.model.reference_sigma_m,
             )
         if len(pairs):
             parts[one.recording] = pairs

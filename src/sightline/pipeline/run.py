@@ -190,7 +190,7 @@ def _track_each(
         turned = camera_turns(recording, fitted) if scene.camera.watched else None
         if turned is not None:
             notes.append(turned)
-        pairs = _against_log(recording, judged, held.log_sigma_m)
+        pairs = _against_log(recording, judged, held.reference_sigma_m)
         if pairs is not None:
             scored[recording.name] = pairs
     return _Tracked(tracks, scored, tuple(detected), tuple(notes))
@@ -331,11 +331,14 @@ def track_recording(
 
 
 def _against_log(
-    recording: Recording, tracks: list[Track], log_sigma_m: float
+    recording: Recording, tracks: list[Track], reference_sigma_m: float
 ) -> tuple[ScoredPairs, TracksUsed] | None:
     if recording.fixes_path is None:
         return None
     pairs, used = pair_target(
-        tracks, recording.fixes(), platform=recording.platform(), log_sigma_m=log_sigma_m
+        tracks,
+        recording.fixes(),
+        platform=recording.platform(),
+        reference_sigma_m=reference_sigma_m,
     )
     return (pairs, used) if len(pairs) else None

@@ -253,9 +253,9 @@ def _about_coverage(report: Report) -> str:
         return "The positions state no uncertainty, so there is none to check."
     held = coverage.p95_with_log
     share = f"The stated 95 % ellipses hold {percent(coverage.p95)} of the log's positions"
-    if coverage.log_sigma_m > 0.0:
+    if coverage.reference_sigma_m > 0.0:
         share += (
-            f", {percent(held)} with the log's own error of {number(coverage.log_sigma_m)} m in "
+            f", {percent(held)} with the log's own error of {number(coverage.reference_sigma_m)} m in "
             "them"
         )
     if n < _FEWEST_TO_JUDGE:
@@ -324,7 +324,7 @@ def _headline(page: ReportPage) -> list[_Tile]:
                 "in the 95 % ellipse",
                 percent(report.coverage.p95_with_log),
                 "95 % would be honest"
-                if report.coverage.log_sigma_m == 0.0
+                if report.coverage.reference_sigma_m == 0.0
                 else "95 % would be honest; the log's own error counts",
             )
         )
