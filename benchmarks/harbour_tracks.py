@@ -59,7 +59,7 @@ def path(rng: np.random.Generator, duration_s: float) -> tuple[FloatArray, Float
 
 
 def lasting(rng: np.random.Generator, time_s: FloatArray, correlation_time_s: float) -> FloatArray:
-    """(N,) draws of unit variance whose correlation falls off with `correlation_time_s`; 0: independent."""
+    """(N,) draws of unit variance, correlated over `correlation_time_s`; 0: independent."""
     draws = rng.standard_normal(time_s.size)
     if correlation_time_s > 0.0:
         kept = np.exp(-np.diff(time_s) / correlation_time_s)

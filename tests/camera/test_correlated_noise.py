@@ -26,7 +26,8 @@ DRIFT_M, DRIFT_S = 1.5, 20.0
 
 
 class World:
-    """PointCorrespondences of two recordings and two without a time, and the covariance of their pixels."""
+    """PointCorrespondences of two recordings and two without a time, and the covariance of their
+    pixels."""
 
     def __init__(self, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)

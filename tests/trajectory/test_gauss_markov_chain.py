@@ -81,8 +81,8 @@ def _batch(
             noise[i + 4, i + 4] = 1.0 - np.exp(-2.0 * dt / tau)
         add({k: -step, k + 1: np.eye(6)}, np.zeros(6), np.linalg.cholesky(noise))
     for k, time in enumerate(nodes.time_s):
-        correlated = np.diag(p.lasting) @ nodes.root_m[k]
-        sees = np.hstack([nodes.axes[k], np.zeros((2, 2)), lasting])
+        correlated = np.diag(p.correlated) @ nodes.root_m[k]
+        sees = np.hstack([nodes.axes[k], np.zeros((2, 2)), correlated])
         add(
             {int(np.searchsorted(times, time)): sees},
             nodes.measured_m[k],
@@ -155,7 +155,7 @@ def _log_density(nodes: chain.Nodes, p: chain.Parameters) -> float:
     for a in range(n):
         for b in range(n):
             kept = np.exp(-abs(since[a] - since[b]) / tau)
-            roots = [np.diag(p.lasting) @ nodes.root_m[k] for k in (a, b)]
+            roots = [np.diag(p.correlated) @ nodes.root_m[k] for k in (a, b)]
             block = motion[a, b] * nodes.axes[a] @ nodes.axes[b].T + kept * roots[0] @ roots[1].T
             total[2 * a : 2 * a + 2, 2 * b : 2 * b + 2] = block
         root = _white_root(nodes, p, a)

@@ -298,8 +298,8 @@ def test_it_learns_whether_noise_lasts() -> None:
     correlated = RtsSmoother().smooth(boat.time_utc_s, boat.positions).noise
     assert white.white_along == pytest.approx(1.0, abs=0.15)
     assert white.lasting_along < 0.2
-    assert lasting.white_along < 0.3
-    assert lasting.lasting_along == pytest.approx(1.0, abs=0.3)
+    assert correlated.white_along < 0.3
+    assert correlated.lasting_along == pytest.approx(1.0, abs=0.3)
 
 
 def test_it_is_still_on_straights_and_quick_in_turns() -> None:
@@ -342,7 +342,7 @@ def test_common_part_stays_whatever_the_number_of_boxes() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("correlation_time_s", "largest_ratio"), [(0.0, 0.65), (1.0, 0.55)], ids=["white", "lasting"]
+    ("correlation_time_s", "largest_ratio"), [(0.0, 0.65), (1.0, 0.55)], ids=["white", "correlated"]
 )
 def test_better_than_the_paper_and_honest(correlation_time_s: float, largest_ratio: float) -> None:
     boats = [scene(seed, correlation_time_s=correlation_time_s) for seed in range(24)]

@@ -46,7 +46,8 @@ class Match:
         recording: Index of the recording.
         vessel: Index of the log in the recording.
         rows: (K,) its observations, in the order of time.
-        log_likelihood_ratio: How much the log foretells of it, in nats; the choice of the vessel is paid.
+        log_likelihood_ratio: How much the log foretells of it, in nats; the choice of the vessel is
+            paid.
     """
 
     recording: int

@@ -264,7 +264,7 @@ class _Problem:
     """Residuals and derivatives of one fit.
 
     Vectors are those of `CameraFit`, or these followed by what is known of the places: how far
-    the middle of a box lies ahead of the receiver, and the values of the logs' drift.
+    the middle of a box lies ahead of the receiver, and the values of the logs' correlated error.
     """
 
     def __init__(
@@ -466,10 +466,10 @@ class _Problem:
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
     def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
-        """The nearest maximum of the posterior by the whole noise, the correlated error of logs too.
+        """The nearest maximum of the posterior by all noise, that of logs included.
 
-        Gauss-Newton steps on whitened residuals. The correlated error, like that of single places, is
-        not left in the residual: derivatives are those at the likeliest places, since a fit that
+        Gauss-Newton steps on whitened residuals. The correlated error, like that of single places,
+        is not left in the residual: derivatives are those at the likeliest places, since a fit that
         charged all of it to the pixels would find a camera in which metres look too small (errors
         in variables). Boxes that are off by much count less (Huber).
 
@@ -512,7 +512,7 @@ class _Problem:
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
             left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
             pull = whitening.backward(left)[:, :, 0]
-            drift = whitening.drift(pull)
+            drift = whitening.correlated_error(pull)
             shift = drift + latent * np.einsum("nij,ni->nj", by_place, pull)
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))

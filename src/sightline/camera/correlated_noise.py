@@ -4,9 +4,9 @@ A receiver that is two metres off is two metres off for half a minute. Boxes wit
 other share this error: as independent ones they would seem to tell more than they do, and turn the
 camera towards the log. It is a Gauss-Markov (Ornstein-Uhlenbeck) process in east and another in
 north, anew in each recording and for each vessel. Its covariance is
-``correlated_m² exp(-|Δt| / correlation_time_s)``, but smooth below a second, since fixes come a second apart and
-are interpolated between. Residuals are whitened by what it and the boxes' own noise make together
-(generalised least squares).
+``correlated_m² exp(-|Δt| / correlation_time_s)``, but smooth below a second, since fixes come a
+second apart and are interpolated between. Residuals are whitened by what it and the boxes' own
+noise make together (generalised least squares).
 
 The heave of a camera that moves lasts as well, for a second or so, and moves the rows of all boxes.
 It is another such process, in metres of height, anew in each recording. Were it not told apart it
@@ -28,8 +28,8 @@ LONGEST_BLOCK_S = 60.0
 MOST_IN_BLOCK = 256
 """Boxes in a block; more in as short a time tell hardly more."""
 
-# exp(-(sqrt(Δt² + s²) - s) / correlation_time_s) is positive definite: the exponent is a Bernstein function of
-# Δt² (Schoenberg).
+# exp(-(sqrt(Δt² + s²) - s) / correlation_time_s) is positive definite: the exponent is a Bernstein
+# function of Δt² (Schoenberg).
 _SMOOTH_S = 1.0
 
 HEAVE_CORRELATION_TIME_S = 0.7
@@ -197,8 +197,8 @@ class Whitening:
             out[block.rows] = solved.reshape(own.shape)
         return np.asarray(out)
 
-    def drift(self, weights: FloatArray) -> FloatArray:
-        """(N, 2) the likeliest correlated error, metres, of `backward`'s (N, 2) of the residuals."""
+    def correlated_error(self, weights: FloatArray) -> FloatArray:
+        """(N, 2) the likeliest correlated error, metres, of `backward`'s (N, 2) residuals."""
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
         out = np.zeros_like(pulled)
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
@@ -229,7 +229,8 @@ class Whitening:
             correlation_time_s: How long the correlated error lasts.
 
         Returns:
-            (N, 2) by each variance; by the logarithms of ``correlated_m``, ``correlation_time_s`` and ``heave_m``.
+            (N, 2) by each variance; by the logarithms of ``correlated_m``, ``correlation_time_s``
+            and ``heave_m``.
         """
         by_variance = 1.0 / self.variance_px2 - np.einsum(
             "nik,kl,nil->ni", solved, covariance, solved, optimize=True

@@ -73,7 +73,7 @@ class StaticInterval:
 
     Attributes:
         before_utc_s: Time of the last picture looked at in which it did not stand so yet; minus
-            infinity for the first static_interval.
+            infinity for the first static interval.
         since_utc_s: Time of the first picture in which it did; minus infinity for the first.
         view: What it saw.
     """
@@ -243,7 +243,7 @@ class CameraMotionDetector:
         return again if agree(again[None, :, :2], *consensus(again[:, :2])) else moved
 
     def _learn(self, look: tuple[float, FloatArray, NDArray[np.uint8]]) -> None:
-        """Make the reference of a static_interval that has just begun better by one more picture."""
+        """Better the reference of a static interval that has just begun by one more picture."""
         _, moved, strips = look
         if (
             len(self._sample) >= self._count

@@ -38,14 +38,16 @@ _NO_SUCH_TURN_PX = 1e4
 
 @dataclass(frozen=True, eq=False)
 class CameraRotation:
-    """How a camera lay in the K static_intervals of a recording, against the camera of a model.
+    """How a camera lay in the K static intervals of a recording, against the camera of a model.
 
     A turn is a rotation vector: by it, in radians, what stands still has turned about the camera's
     axes to the right, downwards and forward.
 
     Attributes:
-        before_utc_s: (K,) time of the last look before the static_interval; minus infinity for the first.
-        since_utc_s: (K,) time of the first look of the static_interval; minus infinity for the first.
+        before_utc_s: (K,) time of the last look before the static interval; minus infinity for the
+            first.
+        since_utc_s: (K,) time of the first look of the static interval; minus infinity for the
+            first.
         rotation_rad: (K, 3).
         covariance_rad2: (K, 3, 3).
         heading_known: (K,) bool, whether the turn about the vertical was seen.
@@ -78,7 +80,7 @@ class CameraRotation:
             static_intervals: Of the recording.
             camera: Of the model.
             reference: What the camera of the model saw; None, or not to be compared: the first
-                static_interval is taken to be the model's.
+                static interval is taken to be the model's.
             log_focal_sigma: Of the camera.
         """
         if not static_intervals:
@@ -92,7 +94,7 @@ class CameraRotation:
             told = first if k == 0 else _turn(reference, static_interval.view, camera)
             start, doubt = np.zeros(3), np.zeros((3, 3))
             if told is None and k:
-                # Too far from the model's to be compared: from one static_interval to the next.
+                # Too far from the model's to be compared: from one static interval to the next.
                 told = _turn(static_intervals[k - 1].view, static_interval.view, camera)
                 start, doubt = rotations[k], covariances[k]
             if told is None:
@@ -187,7 +189,7 @@ class CameraRotation:
         return tuple(out)
 
     def _is_small(self, k: int) -> bool:
-        """Whether a static_interval is that of the model, as far as turns count."""
+        """Whether a static interval is that of the model, as far as turns count."""
         rotation, covariance = self.rotation_rad[k], self.covariance_rad2[k]
         told = np.sqrt(covariance[0, 0]) < 0.5 * np.radians(_UNSEEN_DEG)
         return bool(told and not _is_turn(rotation, covariance, self.camera))

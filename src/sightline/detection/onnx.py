@@ -81,8 +81,8 @@ class DetectorOptions:
 class OnnxDetector:
     """A detector in an ONNX file, run by ONNX Runtime.
 
-    Every frame is looked at in several views (see `TilingSettings`), each scaled to what the network
-    takes. Boxes that views have in common are merged by non-maximum suppression.
+    Every frame is looked at in several views (see `TilingSettings`), each scaled to what the
+    network takes. Boxes that views have in common are merged by non-maximum suppression.
     """
 
     def __init__(

@@ -52,7 +52,8 @@ class ScoredPairs:
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
         camera_position_m: (N, 2) float64, east and north of the camera; absent: at the origin.
-        reference_sigma_m: (N,) float64, how far off the log itself is believed to be, east and north;
+        reference_sigma_m: (N,) float64, how far off the log itself is believed to be, east and
+            north;
             absent: not at all.
 
     Raises:
@@ -295,8 +296,8 @@ class Coverage:
         p50: Share of the log's positions inside the stated 50 % ellipse; NaN where none is stated.
         p95: The same of the 95 % ellipse.
         n: Correspondences that state a covariance.
-        reference_sigma_m: How far off the log itself is believed to be, metres east and north, root mean
-            square; 0 where nobody says.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north, root
+            mean square; 0 where nobody says.
         p50_with_log: As ``p50``, of ellipses that answer for the log's own error as well.
         p95_with_log: The same of the 95 % ellipse.
     """

@@ -38,6 +38,13 @@ from sightline.types import (
 )
 
 _VIEW = ("strips", "top_px", "left_px")
+_OLD_NAMES = {
+    "drift_m": "correlated_m",
+    "drift_s": "correlation_time_s",
+    "focal_log_sigma": "log_focal_sigma",
+    "height_log_sigma": "log_height_sigma",
+}
+"""Settings of release 0.1, and their names now."""
 _DAMAGE = (
     ArithmeticError,
     AttributeError,
@@ -293,7 +300,7 @@ class Georeferencer:
     def rotation_in(
         self, static_intervals: Sequence[StaticInterval], view: ReferenceView | None = None
     ) -> CameraRotation | None:
-        """How the camera lay in the static_intervals of a recording, against how it lies for the model.
+        """Camera rotation in the static intervals of a recording, against the model's camera.
 
         Args:
             static_intervals: Of the recording.
@@ -385,9 +392,12 @@ def _build(
 
 
 def _settings(content: dict[str, Any]) -> dict[str, Any]:
-    """The model's settings; files of release 0.1 kept hyperparameters as logarithms."""
+    """The model's settings; files of release 0.1 kept logarithms, and had other names."""
     settings = dict(content["settings"])
     if content["format_version"] == 1:
+        for key in {"noise", "prior"} & settings.keys():
+            if settings[key] is not None:
+                settings[key] = {_OLD_NAMES.get(k, k): v for k, v in settings[key].items()}
         for key in {"range", "bearing"} & settings.keys():
             values = np.exp(np.array(settings[key]["hyperparameters"], dtype=np.float64))
             settings[key] = {**settings[key], "hyperparameters": values.tolist()}

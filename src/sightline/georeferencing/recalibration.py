@@ -53,7 +53,8 @@ class CameraChange:
         pitch_deg: Downwards.
         roll_deg: The right end of the horizon downwards.
         sigma_deg: Standard deviations of the three.
-        log_likelihood_ratio: By how much likelier the boxes are with the turn than without it, in nats.
+        log_likelihood_ratio: By how much likelier the boxes are with the turn than without it, in
+            nats.
     """
 
     recording: str

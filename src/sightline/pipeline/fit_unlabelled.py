@@ -243,7 +243,7 @@ def fit_association(
         model=model,
         seed=seed,
         prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
-        source_priors=beliefs,
+        source_priors=source_priors,
     )
     fitted = fit_inputs(inputs, settings)
     more = list(association.statements)
@@ -362,7 +362,7 @@ def update_scene(
         model=old.model,
         seed=seed,
         prior=prior,
-        source_priors=beliefs,
+        source_priors=source_priors,
         water_level_m=old.water_level_m,
     )
     fitted = fit_inputs(inputs, settings)

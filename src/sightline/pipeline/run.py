@@ -29,7 +29,7 @@ from sightline.pipeline.sources import (
     FrameRateError,
     check_frame_rate,
     from_memory,
-    timed,
+    with_times,
 )
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress

@@ -255,8 +255,8 @@ def _about_coverage(report: Report) -> str:
     share = f"The stated 95 % ellipses hold {percent(coverage.p95)} of the log's positions"
     if coverage.reference_sigma_m > 0.0:
         share += (
-            f", {percent(held)} with the log's own error of {number(coverage.reference_sigma_m)} m in "
-            "them"
+            f", {percent(held)} with the log's own error of "
+            f"{number(coverage.reference_sigma_m)} m in them"
         )
     if n < _FEWEST_TO_JUDGE:
         return f"{share}; {n} positions are too few to judge them by."

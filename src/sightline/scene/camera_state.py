@@ -98,7 +98,7 @@ def static_intervals_known(recording: Recording) -> bool:
 def remember_static_intervals(
     recording: Recording, static_intervals: tuple[StaticInterval, ...]
 ) -> None:
-    """Spare `recording_static_intervals` the look at pictures that a `StaticIntervalMonitor` was shown.
+    """Keep static intervals that a monitor found while the pictures passed.
 
     Args:
         recording: With pictures.

@@ -61,8 +61,8 @@ class WorldTrackerSettings(ImageTrackerSettings):
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        correlation_time_s: The errors of boxes last for so long; boxes that follow each other faster tell
-            accordingly less.
+        correlation_time_s: The errors of boxes last for so long; boxes that follow each other
+            faster tell accordingly less.
         earth_gate: Largest distance between a predicted and a measured place, in standard
             deviations.
         loose_gate: The same as long as the image tells more, within ``image_s``: the lower edge

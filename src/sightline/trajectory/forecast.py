@@ -60,8 +60,8 @@ class MotionModel:
         straight_m2ps3: Spectral density of the white acceleration while it goes straight, m²/s³.
         turning_m2ps3: The same while it turns.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        correlation_time_s: The errors of boxes last for so long; boxes that follow each other faster tell
-            accordingly less.
+        correlation_time_s: The errors of boxes last for so long; boxes that follow each other
+            faster tell accordingly less.
         forgotten_s: After so long without a position a target is begun anew: it may be anywhere,
             and a filter that is linear about where it was expected may end far from where it is.
         outlier_gate: A position further from the expected one than so many standard deviations
@@ -381,7 +381,8 @@ def follow(
         time_utc_s: (N,) POSIX seconds, in any order.
         positions: N rows; those without a position are left out.
         motion: How targets move.
-        camera_position_m: (N, 2) metres east and north of the camera. Absent: it stands at the origin.
+        camera_position_m: (N, 2) metres east and north of the camera. Absent: it stands at the
+            origin.
         track_id: For messages.
 
     Returns:

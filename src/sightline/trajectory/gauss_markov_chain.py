@@ -44,8 +44,8 @@ class Nodes:
         root_m: (N, 2, 2) float64, lower Cholesky factor of one measurement's stated covariance
             in those axes.
         count: (N,) float64, how many measurements the node is the mean of.
-        process_noise_scale: (N + 1,) float64, by how much the spectral density of the acceleration differs
-            from the usual one: before the first node, between nodes, after the last.
+        process_noise_scale: (N + 1,) float64, by how much the spectral density of the acceleration
+            differs from the usual one: before the first node, between nodes, after the last.
     """
 
     time_s: FloatArray
@@ -305,7 +305,8 @@ class _System:
         right: (6, N).
         minus_two_log: The terms of -2 log likelihood that do not need the solution.
         whitened: (2, N) measurements in units of their white noise.
-        design: (2, 4, N) what they measure of a node's position and correlated noise, in these units.
+        design: (2, 4, N) what they measure of a node's position and correlated noise, in these
+            units.
     """
 
     band: FloatArray
@@ -455,8 +456,8 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
         parameters: Of the chain.
 
     Returns:
-        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``, ``correlation_time_s``, ``white``
-        along and across, ``correlated`` along and across.
+        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``,
+        ``correlation_time_s``, ``white`` along and across, ``correlated`` along and across.
     """
     system = _system(nodes, parameters)
     solution = _solve(system)

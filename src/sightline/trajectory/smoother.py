@@ -90,7 +90,7 @@ _PRIOR_MEDIAN = NoiseModel(0.1, 0.8, 0.8, 0.8, 0.03, 0.03)
 _PRIOR_SD = np.array([2.0, 0.15, 1.0, 1.0, 2.0, 2.0])
 _BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
 _TOTAL_PRIOR_SD = 0.4
-# Of the acceleration, the time constant, all noise along and across, the lasting over the white.
+# Of the acceleration, the time constant, all noise along and across, the correlated over the white.
 _BOUNDS = [(1e-4, 30.0), (0.1, 5.0), (0.03, 20.0), (0.03, 20.0), (1e-3, 100.0), (1e-3, 100.0)]
 _CURVATURE = np.array([0.3, 0.3, 2.0, 1.0, 0.03, 0.03])
 """Of the log likelihood by the logarithms of these, for each node; about."""
@@ -273,13 +273,13 @@ class RtsSmoother:
         n = float(nodes.count.sum())
         spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.correlation_time_s
         shares = []
-        for white, lasting in (
+        for white, correlated in (
             (noise.white_along, noise.lasting_along),
             (noise.white_across, noise.lasting_across),
         ):
-            seen = white**2 + lasting**2
+            seen = white**2 + correlated**2
             # Standard deviation of the logarithm of the scatter, as for so many independent draws.
-            spread = np.sqrt(2.0 * (white**4 / n + lasting**4 / min(n, spells))) / seen
+            spread = np.sqrt(2.0 * (white**4 / n + correlated**4 / min(n, spells))) / seen
             doubt = float(np.hypot(spread, _STATED_DOUBT))
             shares.append(max(0.0, 1.0 - seen * float(np.exp(2.0 * doubt))))
         return shares[0], shares[1]
@@ -388,9 +388,9 @@ def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
     """The noise model with the largest posterior probability given the measurements.
 
-    In place of the white and the lasting share along each axis it is looked for by the logarithms
-    of both together and of their ratio: the measurements tell the former well whatever the latter
-    is, so that the objective is nearly a sum of functions of one variable.
+    In place of the white and the correlated share along each axis it is looked for by the
+    logarithms of both together and of their ratio: the measurements tell the former well whatever
+    the latter is, so that the objective is nearly a sum of functions of one variable.
     """
     nodes = _excerpt(nodes)
     centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
@@ -410,8 +410,8 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         value += float(belief @ belief + total @ total)
         gradient += 2.0 * belief / _PRIOR_SD
         white, correlated = gradient[2:4].copy(), gradient[4:].copy()
-        gradient[2:4] = white + lasting + 2.0 * total / _TOTAL_PRIOR_SD
-        gradient[4:] = lasting - lasting_part * (white + lasting)
+        gradient[2:4] = white + correlated + 2.0 * total / _TOTAL_PRIOR_SD
+        gradient[4:] = correlated - lasting_part * (white + correlated)
         values.append(0.5 * value)
         # What is gained since the start is the measure of when to stop.
         return values[-1] - values[0], 0.5 * gradient * scale
