@@ -92,7 +92,7 @@ def test_the_likeliest_error_is_the_conditional_mean() -> None:
     solved = np.linalg.solve(world.covariance(world.variance_px2), world.pixel_px.ravel())
     np.testing.assert_allclose(pulled.ravel(), solved, rtol=1e-9)
     expected = np.einsum("ij,jab,ja->ib", world.kernel(), world.by_place, solved.reshape(11, 2))
-    np.testing.assert_allclose(whitening.drift(pulled), expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(whitening.correlated_error(pulled), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> None:

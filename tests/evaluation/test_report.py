@@ -77,7 +77,7 @@ def test_the_json_has_the_keys_that_are_promised(tmp_path) -> None:
             "p50": 0.0,
             "p95": 1.0,
             "n": part["ape"]["n"],
-            "reference_sigma_m": 0.0,
+            "log_sigma_m": 0.0,
             "p50_with_log": 0.0,
             "p95_with_log": 1.0,
         }

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sightline.trajectory.sight import NoiseAtRange
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.trajectory import METHODS, NoiseModel, PaperChain, RtsSmoother, method, smoother
 from sightline.trajectory.base import measurements
+from sightline.trajectory.range_noise import NoiseAtRange
 from sightline.types import BoolArray, FloatArray, PointKind, Positions
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))

@@ -74,6 +74,12 @@ class TracksUsed:
     chosen_by: str
 
 
+def _coverage_dict(coverage: Coverage) -> dict[str, Any]:
+    """As JSON has it: the key of the log's error is older than its name here."""
+    out = asdict(coverage)
+    return {"log_sigma_m" if key == "reference_sigma_m" else key: out[key] for key in out}
+
+
 @dataclass(frozen=True)
 class Report:
     """How far positions are from a log: pooled over recordings, and for each of them.
@@ -111,7 +117,7 @@ class Report:
         out: dict[str, Any] = {
             "ape": asdict(self.ape),
             "rpe": asdict(self.rpe),
-            "coverage": asdict(self.coverage),
+            "coverage": _coverage_dict(self.coverage),
             "matched": asdict(self.matched),
             "bias": asdict(self.bias),
             "by_range": [asdict(row) for row in self.by_range],
