@@ -209,7 +209,7 @@ def off_m(scene: Scene, model: Georeferencer) -> float:
 def test_places_hold_after_a_turn_of_a_degree(world: World) -> None:
     still_m = off_m(world.still, world.model)
     assert off_m(world.scene, world.model) < 1.15 * still_m
-    unwatched = replace(world.scene, camera=replace(world.scene.camera, watched=False))
+    unwatched = replace(world.scene, camera=replace(world.scene.camera, compensate_rotation=False))
     assert off_m(unwatched, world.model) > 5.0 * still_m
 
 
@@ -236,7 +236,7 @@ def test_tracks_hold_as_pictures_come_in(world: World, corrected: bool) -> None:
         world.model,
         clock=recording.clock(),
         detector=Eye(recording.boxes()),
-        settings=TrackSettings(correct_turns=corrected),
+        settings=TrackSettings(compensate_rotation=corrected),
     )
     error_m, inside = [], []
     for one in found:
@@ -256,7 +256,7 @@ def test_tracks_hold_as_pictures_come_in(world: World, corrected: bool) -> None:
 
 def test_a_fit_takes_the_turn_of_a_recording_off_its_boxes(world: World) -> None:
     def residual_m(watched: bool) -> float:
-        camera = replace(world.scene.camera, watched=watched)
+        camera = replace(world.scene.camera, compensate_rotation=watched)
         fitted = sightline.fit(replace(world.scene, camera=camera), "camera")
         said = " ".join(fitted.report.statements)
         assert ("was turned" in said) == watched
@@ -322,7 +322,7 @@ def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_
     (said,) = [s for s in fitted.report.statements if "was turned" in s]
     # It was knocked in recording 08; 18 and 19 are the earliest.
     assert "recordings 06, 07, 08, 18, 19 it" in said
-    unwatched = replace(scene, camera=replace(scene.camera, watched=False))
+    unwatched = replace(scene, camera=replace(scene.camera, compensate_rotation=False))
     plain = sightline.fit(unwatched, "camera")
     watched_m, plain_m = (
         score(place_boxes(one, lambda _, m=model: m)).ape.median

@@ -112,7 +112,7 @@ def _log_likelihood_ratio(
             typical = float(np.median(density[part]))
             total -= float(np.log(2.0 * np.pi * typical * (np.abs(rest[0]) + noise).prod()))
         else:
-            # What went out of sight comes back where it went: little to foretell.
+            # What went out of sight comes back where it went: little to predict.
             total += float(
                 np.log((np.abs(whole[0] - last) + noise) / (np.abs(rest[0]) + noise)).sum()
             )

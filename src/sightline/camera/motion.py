@@ -93,7 +93,7 @@ class CameraMotionDetector:
             the image to the right one; None: the edge of the water is looked for in the first
             pictures, and nothing is watched where there is none.
         focal_px: Focal length.
-        least_deg: Turns that are smaller are not reported.
+        least_deg: Rotations that are smaller are not reported.
         lasts_s: A turn counts once it has lasted so long: a gust is none.
         reference_frames: How many pictures make a reference.
         like: A view whose strips are to be looked at, instead of ``horizon_px``.

@@ -53,7 +53,7 @@ class CameraRotation:
         heading_known: (K,) bool, whether the turn about the vertical was seen.
         camera: The camera of the model.
         log_focal_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
-            turn unsure, and not where levelled boxes lie: the same lens measures the turn and takes
+            turn unsure, and not where compensated boxes lie: the same lens measures the turn and takes
             it off.
     """
 

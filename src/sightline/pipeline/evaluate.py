@@ -150,7 +150,7 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
             continue
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
-        history = recording_history(recording, model, pictures=scene.camera.watched)
+        history = recording_history(recording, model, pictures=scene.camera.compensate_rotation)
         boxes = model.place(history.observed(recording.boxes()))
         placed.append(LocatedRecording(recording.name, boxes, model, recording.fixes(), platform))
     if not placed:

@@ -107,7 +107,10 @@ def run(
         (('01', '02', '03'), 11)
     """
     settings = settings or TrackSettings()
-    settings = replace(settings, correct_turns=settings.correct_turns and scene.camera.watched)
+    settings = replace(
+        settings,
+        compensate_rotation=settings.compensate_rotation and scene.camera.compensate_rotation,
+    )
     tell = progress or (lambda _what, _share: None)
     seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
@@ -187,7 +190,7 @@ def _track_each(
             if _unseen(recording):
                 detected.append(recording.name)
         tracks[recording.name] = Tracks(tuple(made))
-        turned = camera_turns(recording, fitted) if scene.camera.watched else None
+        turned = camera_turns(recording, fitted) if scene.camera.compensate_rotation else None
         if turned is not None:
             notes.append(turned)
         pairs = _against_log(recording, judged, held.reference_sigma_m)
@@ -315,7 +318,7 @@ def track_recording(
     where = f"recording {recording.name}"
     platform = recording.platform()
     check_platform(model, platform, f"{where}: ")
-    history = recording_history(recording, model, pictures=settings.correct_turns)
+    history = recording_history(recording, model, pictures=settings.compensate_rotation)
     if recording.boxes_path is not None:
         located = model.place(history.observed(recording.boxes()))
         made = smooth_boxes(located, smoother, settings, track_id=1, platform=platform)

@@ -80,7 +80,7 @@ class TrackSettings:
         forecast_s: How far ahead a track is forecast after its last position, where forecasts
             are asked for.
         forecast_interval_s: Time between the points of a forecast.
-        correct_turns: Whether a turn of the camera that its pictures show is made up for.
+        compensate_rotation: Whether camera rotation seen in the video is compensated.
     """
 
     trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY
@@ -91,7 +91,7 @@ class TrackSettings:
     longest_s: float = 1800.0
     forecast_s: float = 60.0
     forecast_interval_s: float = 5.0
-    correct_turns: bool = True
+    compensate_rotation: bool = True
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
@@ -239,7 +239,7 @@ def iter_tracks(
     else:
         highest_id = NO_TRACK
         monitor = CameraMotionMonitor(
-            model, warn_of=str(source), compensate=settings.correct_turns, water=water
+            model, warn_of=str(source), compensate=settings.compensate_rotation, water=water
         )
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = observe(fit_for_use(frames, model, str(source)), [monitor])

@@ -50,7 +50,7 @@ def scene_static_intervals(
         scene: Its recordings' pictures.
         progress: Told what is being looked at: a long video takes long.
     """
-    if scene.moves or not scene.camera.watched:
+    if scene.moves or not scene.camera.compensate_rotation:
         return {}
     found = {}
     for i, recording in enumerate(scene.recordings):

@@ -120,7 +120,7 @@ class SceneDetections:
             still = still_picture(recording)
             observers.append(still)
         static_intervals: StaticIntervalMonitor | None = None
-        still_standing = self._scene.camera.watched and recording.platform_path is None
+        still_standing = self._scene.camera.compensate_rotation and recording.platform_path is None
         if still_standing and not static_intervals_known(recording):
             static_intervals = StaticIntervalMonitor()
             observers.append(static_intervals)
