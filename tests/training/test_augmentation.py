@@ -7,12 +7,7 @@ from pond import BOAT_RGB, SIZE_PX, picture
 from scipy import ndimage
 
 from sightline.errors import InputError
-from sightline.training.augmentation import (
-    Augmentation,
-    Batches,
-    rotate_boxes,
-    rotate_image,
-)
+from sightline.training.augmentation import Augmentation, Batches, rotate_boxes, rotate_image
 from sightline.training.data import Picture, Sprite
 
 PLAIN = Augmentation(

@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sightline.association.observations import TrackObservations
-from sightline.camera.parameters import (
-    HEADING,
-    K1,
-    LOG_FOCAL,
-    LOG_HEIGHT,
-    PITCH,
-    camera_vector,
-)
+from sightline.camera.parameters import HEADING, K1, LOG_FOCAL, LOG_HEIGHT, PITCH, camera_vector
 from sightline.camera.priors import CameraPrior
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import FloatArray, IntArray

@@ -53,8 +53,8 @@ class CameraRotation:
         heading_known: (K,) bool, whether the turn about the vertical was seen.
         camera: The camera of the model.
         log_focal_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
-            turn unsure, and not where compensated boxes lie: the same lens measures the turn and takes
-            it off.
+            rotation unsure, and not where compensated boxes lie: the same lens measures it and
+            takes it off.
     """
 
     before_utc_s: FloatArray

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.common import (
-    check_model_is_there,
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import check_model_is_there, keep_apart, progress, say, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
     ClockOption,

@@ -22,12 +22,7 @@ from sightline.camera.parameters import (
     ParameterLayout,
 )
 from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
-from sightline.camera.priors import (
-    ANY_ASPECT,
-    CameraPrior,
-    PixelNoise,
-    SourcePrior,
-)
+from sightline.camera.priors import ANY_ASPECT, CameraPrior, PixelNoise, SourcePrior
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings

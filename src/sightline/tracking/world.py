@@ -21,12 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.platform import Platform
-from sightline.tracking.image import (
-    IMAGE_MEASURED,
-    IMAGE_STATE,
-    ImagePlane,
-    ImageTrackerSettings,
-)
+from sightline.tracking.image import IMAGE_MEASURED, IMAGE_STATE, ImagePlane, ImageTrackerSettings
 from sightline.tracking.plane import Columns, Fields, white_acceleration
 from sightline.tracking.targets import TargetTracker
 from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions

@@ -8,12 +8,7 @@ from typing import Annotated
 import typer
 
 from sightline import _optional
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
