@@ -126,8 +126,10 @@ def associate(
     judged.sort(key=lambda one: -one.evidence)
     if judged[0].matches:
         other = refiner.at_another_clock(judged[0].explanation, _SAME_OFFSET_S)
-        if other is not None:
-            judged.append(_judge(refiner, other, image_size_px, largest_offset_s))
+        rival = None if other is None else _judge(refiner, other, image_size_px, largest_offset_s)
+        # One that ends where the best has ended is the same explanation.
+        if rival is not None and _differ(judged[0], rival):
+            judged.append(rival)
             judged.sort(key=lambda one: -one.evidence)
     best = judged[0]
     if not best.matches or best.evidence < LEAST_EVIDENCE:
