@@ -1,4 +1,4 @@
-"""Priors of a camera, its target and its sources of boxes, and the noise of a foot point."""
+"""Priors of the camera, its target and its sources of boxes, and the noise of a foot point."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class CameraPrior:
-    """What is believed of a camera before any data, as means and standard deviations.
+    """Prior of a camera, as means and standard deviations.
 
     Attributes:
         height_m: Median; ``log_height_sigma`` is the standard deviation of its logarithm.
@@ -125,7 +125,7 @@ class CameraPrior:
 
 @dataclass(frozen=True)
 class SourcePrior:
-    """What is believed of one source of boxes before any data, instead of what a prior says of all.
+    """Prior of the lower-edge bias of one source, instead of that of `CameraPrior`.
 
     Attributes:
         bias_px: Mean and standard deviation.
@@ -138,17 +138,17 @@ class SourcePrior:
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """Standard deviations of a box's foot, in pixels and in metres at the target.
+    """Standard deviations of a foot point, in pixels and in metres at the target.
 
     Attributes:
         row_px: Of the row, pixels.
         row_m: Of the row, metres of height at the target.
         column_px: Of the column, pixels.
-        place_m: Of the place itself, metres east and metres north, anew for each box: how far the
-            log is off, and the middle of the box off the middle of the hull. The two cannot be
+        place_m: Of the place itself, metres east and metres north, anew for each box: error of the
+            log, and of the middle of the box as the middle of the hull. The two cannot be
             told apart.
-        correlated_m: Of the part of the log's error that lasts, metres east and metres north.
-        correlation_time_s: How long it lasts: it decays as ``exp(-Δt / correlation_time_s)``.
+        correlated_m: Of the log's correlated error, metres east and metres north.
+        correlation_time_s: Its correlation time: it decays as ``exp(-Δt / correlation_time_s)``.
         heave_m: Of the camera's height, which moves all rows together for about a second: of a
             camera on a vessel.
         middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
@@ -165,7 +165,7 @@ class PixelNoise:
     middle_m: float = 0.0
 
     def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Variances of a foot's column and row, square pixels, each (N,), without the place's.
+        """Variances of column and row, square pixels, each (N,), without the place's.
 
         Args:
             squared_pixels_per_metre: (N,) the square of how large a metre at the target looks.
@@ -177,7 +177,7 @@ class PixelNoise:
         )
 
     def scaled(self, factor: float) -> PixelNoise:
-        """The same noise, wider by a factor."""
+        """The same noise, scaled by a factor."""
         return PixelNoise(
             self.row_px * factor,
             self.row_m * factor,

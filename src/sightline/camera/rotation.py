@@ -1,9 +1,9 @@
-r"""Boxes of a camera that was turned for good, as if it had not been.
+r"""Camera rotation between static intervals, estimated and compensated in boxes.
 
-A bumped camera stands as well as before, only otherwise. What stands still before it tells how: a
-turn about the camera's axes takes each of its places to where it is seen now, through the lens.
-The reverse turn takes boxes to where they would be for the camera that the model knows, as swell is
-taken off (`sightline.camera.stabilisation`). What is not known of the turn is an error that a
+A bumped camera stands as well as before, only otherwise. The static scene tells how: a rotation
+about the camera's axes takes each of its places to where it is seen now, through the lens. The
+reverse rotation takes boxes to where they would be for the camera that the model knows, as swell is
+taken off (`sightline.camera.stabilisation`). What is not known of the rotation is an error that a
 target has in common with itself a moment later.
 """
 
@@ -38,9 +38,9 @@ _NO_SUCH_TURN_PX = 1e4
 
 @dataclass(frozen=True, eq=False)
 class CameraRotation:
-    """How a camera lay in the K static intervals of a recording, against the camera of a model.
+    """Camera rotation in the K static intervals of a recording, against the model's camera.
 
-    A turn is a rotation vector: by it, in radians, what stands still has turned about the camera's
+    It is a rotation vector: by it, in radians, the static scene has turned about the camera's
     axes to the right, downwards and forward.
 
     Attributes:
@@ -50,11 +50,11 @@ class CameraRotation:
             first.
         rotation_rad: (K, 3).
         covariance_rad2: (K, 3, 3).
-        heading_known: (K,) bool, whether the turn about the vertical was seen.
+        heading_known: (K,) bool, whether the rotation about the vertical was seen.
         camera: The camera of the model.
-        log_focal_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
-            rotation unsure, and not where compensated boxes lie: the same lens measures it and
-            takes it off.
+        log_focal_sigma: Standard deviation of the logarithm of its focal length. It makes the
+            angles of a rotation unsure, and not where compensated boxes lie: the same lens measures
+            the rotation and takes it off.
     """
 
     before_utc_s: FloatArray
@@ -74,7 +74,7 @@ class CameraRotation:
         *,
         log_focal_sigma: float = 0.0,
     ) -> CameraRotation | None:
-        """The turns of a recording; None where the camera was not turned, or nothing tells.
+        """The camera rotation of a recording; None where there is none, or it cannot be estimated.
 
         Args:
             static_intervals: Of the recording.
@@ -132,7 +132,7 @@ class CameraRotation:
 
     @property
     def angles_deg(self) -> FloatArray:
-        """(K, 3) turns of the camera: heading to the right, pitch downwards, roll clockwise.
+        """(K, 3) rotation angles: heading to the right, pitch downwards, roll clockwise.
 
         A roll is positive where the right end of the horizon is lower than before.
         """
@@ -161,7 +161,7 @@ class CameraRotation:
         )
 
     def sentences(self) -> tuple[str, ...]:
-        """The turns in words, each against the camera of the model."""
+        """The rotations in words, each against the camera of the model."""
         out = []
         for k, (angles, sigmas) in enumerate(zip(self.angles_deg, self.sigma_deg, strict=True)):
             as_model = self._is_small(k)
@@ -189,7 +189,7 @@ class CameraRotation:
         return tuple(out)
 
     def _is_small(self, k: int) -> bool:
-        """Whether a static interval is that of the model, as far as turns count."""
+        """Whether a static interval's rotation against the model is negligible."""
         rotation, covariance = self.rotation_rad[k], self.covariance_rad2[k]
         told = np.sqrt(covariance[0, 0]) < 0.5 * np.radians(_UNSEEN_DEG)
         return bool(told and not _is_turn(rotation, covariance, self.camera))
@@ -198,7 +198,7 @@ class CameraRotation:
 def compensate_rotation(
     xyxy_px: FloatArray, rotation_rad: FloatArray, camera: Camera
 ) -> tuple[FloatArray, BoolArray]:
-    """Boxes as a camera would have seen them that was not rotated.
+    """Compensate the camera rotation in boxes.
 
     Args:
         xyxy_px: (N, 4) boxes.
@@ -224,7 +224,7 @@ def widen(
     camera: Camera,
     above_m: ArrayLike = 0.0,
 ) -> Positions:
-    """Positions of compensated boxes, with what is not known of the rotation.
+    """Add the uncertainty of the rotation to the covariances of compensated boxes.
 
     Args:
         positions: N rows, in the model's plane.
@@ -250,7 +250,7 @@ def widen(
 
 
 def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bool:
-    """Whether a turn moves what is seen by enough, and is sure enough, to be one."""
+    """Whether a rotation is large and significant enough to count."""
     half_width = 0.5 * camera.image_size_px[0] / camera.focal_px
     moved_rad = max(float(np.hypot(*rotation[:2])), half_width * abs(float(rotation[2])))
     doubt = np.diag(covariance)
@@ -260,7 +260,7 @@ def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bo
 
 
 def seen_again(reference: ReferenceView, other: ReferenceView, camera: Camera) -> bool:
-    """Whether one view shows what stood still in another, wherever it lies in it now.
+    """Whether one view shows the static scene of another, wherever it lies in it now.
 
     Args:
         reference: Of one time.
@@ -273,14 +273,14 @@ def seen_again(reference: ReferenceView, other: ReferenceView, camera: Camera) -
 def _turn(
     reference: ReferenceView, other: ReferenceView, camera: Camera
 ) -> tuple[FloatArray, FloatArray, bool] | None:
-    """As `_rotation`, from one view to another, and whether landmarks tell it."""
+    """As `_rotation`, from one view to another, and whether landmarks determine it."""
     moved = displacement(reference, other)
     told = None if moved is None else _rotation(moved, camera)
     return None if moved is None or told is None else (*told, moved.landmarks)
 
 
 def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
-    """The turn (3,) of what stands still that moves places as was measured, and its covariance.
+    """The rotation (3,) of the static scene that fits the displacements, and its covariance.
 
     None where the lens has no rays for enough of the places, or no turn explains what was measured:
     then the two views do not show the same.
@@ -331,7 +331,7 @@ def _jacobian(residual: Callable[[FloatArray], FloatArray], turn: FloatArray) ->
 def reference_view(
     static_intervals: Mapping[str, Sequence[StaticInterval]],
 ) -> ReferenceView | None:
-    """The view with which most others can be compared; the latest that half of them can be.
+    """The view that most others can be registered to; the latest that half of them can be.
 
     Args:
         static_intervals: By recording.

@@ -1,4 +1,4 @@
-"""Boxes of a target whose place is known: what every model learns from and is scored on."""
+"""Correspondences: boxes with the known place of their target, to fit and evaluate models."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sightline.types import BoolArray, Boxes, FloatArray, StrArray
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """Boxes with the place of the target at their time, one row a box.
+    """Boxes with the place of their target at their time, one row a box.
 
     Attributes:
         boxes: (N,) the boxes.
@@ -50,7 +50,7 @@ class Correspondences:
         return len(self.boxes)
 
     def in_plane(self, plane: LocalPlane) -> Self:
-        """The same places, east and north of another origin; velocities stay as they are.
+        """The same places in the plane of another origin; velocities stay as they are.
 
         Args:
             plane: Not so far away that its north points elsewhere.

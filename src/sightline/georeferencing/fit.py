@@ -1,4 +1,4 @@
-"""A fit: from what was collected to a georeferencer. Nothing here reads a file."""
+"""The fit of a georeferencer from collected inputs. Nothing here reads a file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from sightline.types import BoolArray, Boxes, ControlPoints, FloatArray, Horizon
 
 @dataclass(frozen=True, eq=False)
 class FitInputs:
-    """All that a fit learns from.
+    """Everything that a fit learns from.
 
     Attributes:
         correspondences: Boxes beside the places of their targets, as the camera saw them.
@@ -43,7 +43,7 @@ class FitInputs:
         moving: Whether the camera is on a platform that moves; places are then starboard and ahead.
         tidal: Whether every recording tells how high the water stood.
         horizons: By recording, where the horizon lay in its frames; of a camera that rolls.
-        static_intervals: By recording, how a camera that ought to stand still stood in it.
+        static_intervals: By recording, the static intervals of its camera.
         landmarks: Pixels whose place is known roughly.
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
@@ -78,7 +78,7 @@ class FitInputs:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a model is learned.
+    """Settings of a fit.
 
     Attributes:
         model: Name of a model, or a model type.
@@ -98,11 +98,11 @@ class FitSettings:
 
 @dataclass(frozen=True, eq=False)
 class _Knowledge:
-    """What a fit tells that prepares the data of the next; None where it has not told yet.
+    """Estimates of one fit that prepare the data of the next; None where there are none yet.
 
     Attributes:
-        lens: How far a pixel turns the camera; told once there is a camera.
-        rotations: By recording, how the camera lay in it against how it lies for the model.
+        lens: The camera, by whose lens boxes are stabilised; known once one is fitted.
+        rotations: By recording, the camera rotation against the model's camera.
         origin: Where on the earth the camera stands.
     """
 
@@ -112,7 +112,7 @@ class _Knowledge:
 
 
 def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer:
-    """Learn a georeferencer.
+    """Fit a georeferencer.
 
     What a fit tells of the camera prepares the data of the next: its lens takes swell off the
     boxes, its focal length turns shifts of the static scene into camera rotations, whose effect is
@@ -164,7 +164,7 @@ def _told(
     horizon: tuple[float, float] | None,
     view: ReferenceView | None,
 ) -> _Knowledge:
-    """What is known after a fit; the same object where it told nothing of a new kind."""
+    """Estimates after a fit; the same object where it added nothing new."""
     camera = fitted.camera
     if camera is None:
         return known
@@ -188,7 +188,7 @@ def _told(
 def _prepared(
     inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None
 ) -> Correspondences:
-    """Correspondences as a camera would have seen them that lay as it does for the model."""
+    """Correspondences, stabilised and compensated to the camera of the model."""
     pairs = inputs.correspondences
     if known.origin is not None:
         pairs = pairs.in_plane(known.origin)
@@ -204,7 +204,7 @@ def _stabilised(
     horizon_px: tuple[float, float],
     lens: Camera,
 ) -> Correspondences:
-    """Correspondences with roll and pitch taken off; those without a horizon are left out."""
+    """Correspondences with roll and pitch compensated; those without a horizon are left out."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
         seen_px = horizons_at(horizons[name], boxes.time_utc_s)
@@ -216,7 +216,7 @@ def _stabilised(
 def _compensated(
     pairs: Correspondences, rotations: Mapping[str, CameraRotation]
 ) -> Correspondences:
-    """Correspondences with the camera rotations of their recordings taken off their boxes."""
+    """Correspondences with the camera rotations of their recordings compensated."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
         rotation_rad, _ = rotations[name].at(boxes.time_utc_s)
@@ -248,7 +248,7 @@ def _moved(
 
 
 def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None:
-    """Where the horizon lies in the middle of all that the camera did."""
+    """The median horizon, rows at the left and the right edge; None without any."""
     if not sum(map(len, horizons)):
         return None
     left = np.concatenate([one.left_y_px for one in horizons])

@@ -1,4 +1,4 @@
-"""What is to be known of a fit: parameters, biases, residuals, and sentences for people."""
+"""Fit report: parameters, biases, residuals, and sentences for people."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of the camera or the target as the fit found it.
+    """A fitted parameter of the camera or the target.
 
     Attributes:
         name: As in `PARAMETERS`, then `TARGET_PARAMETERS` where there were boxes.
         value: In ``unit``.
         sigma: Standard deviation, in ``unit``.
         unit: ``"m"``, ``"degrees"``, ``"px"`` or ``""``.
-        determined: Whether data, and not belief, says what it is.
+        determined: Whether the data, not the prior, determines it.
     """
 
     name: str
@@ -37,7 +37,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class SourceBias:
-    """The bias of a source of boxes at the lower edge.
+    """The lower-edge bias of a source of boxes.
 
     Attributes:
         name: Of the annotator or detector.
@@ -59,7 +59,7 @@ class SourceBias:
 
 @dataclass(frozen=True)
 class FittedBox:
-    """One box of the fit: what is left of it, and how much hangs on it.
+    """Residual and leverage of one box of the fit.
 
     Attributes:
         recording: Its recording.
@@ -68,7 +68,7 @@ class FittedBox:
         error_m: Between the model's place and the log's.
         residual_px: Between its foot and where the camera expects it, pixels; NaN where the model
             has no camera.
-        leverage: How much of the fit hangs on it, NaN where the model does not tell.
+        leverage: Its leverage on the fit, NaN where the model does not tell.
         outlier: Whether the fit took it for one.
     """
 
@@ -83,7 +83,7 @@ class FittedBox:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What is to be known about a fit.
+    """Report of a fit.
 
     Attributes:
         model: Name of the model.
@@ -114,13 +114,13 @@ class FitReport:
     statements: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON can hold it; numbers that are none become None."""
+        """The report as JSON can hold it; NaN and infinities become None."""
         content: dict[str, Any] = _jsonable(asdict(self))
         return content
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> FitReport:
-        """What `to_dict` wrote.
+        """Restore the report from `to_dict`.
 
         Raises:
             LookupError: A field is missing.

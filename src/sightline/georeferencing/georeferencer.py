@@ -1,4 +1,4 @@
-"""A fitted model with the plane that it works in, and what is to be known about its fit."""
+"""The georeferencer: a fitted model with its plane and its fit report."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, eq=False)
 class Georeferencer:
-    """Says where boxes lie on the earth.
+    """Georeferences boxes with a fitted model.
 
     Attributes:
         model: Name of the model: one of `MODELS`, or another package's.
@@ -72,8 +72,8 @@ class Georeferencer:
             and ahead of that: see `sightline.platform`.
         water_level_m: The level of the water that the height of the camera is over, metres above
             the datum of the scene's water levels; None where the water was taken to stand still.
-        view: What stands still before the camera as it lies for the model, so that it shows in
-            later pictures whether it was turned since; None where no pictures tell.
+        view: Reference view of the static scene, against which later frames show whether the camera
+            was rotated since; None where there were no frames.
     """
 
     model: str
@@ -89,20 +89,20 @@ class Georeferencer:
 
     @property
     def camera(self) -> Camera | None:
-        """The camera, where the model has one."""
+        """The fitted camera, where the model has one."""
         return self.regressor.camera
 
     @property
     def calibrated(self) -> CameraRegressor | None:
-        """The camera with all that is known of it, where the model is one of ours."""
+        """The camera model with its covariance, where the model is one of ours."""
         return self.regressor if isinstance(self.regressor, CameraRegressor) else None
 
     @property
     def reference_sigma_m(self) -> float:
-        """How far off the logs that it learned from were, metres east and north.
+        """Standard deviation of the logs' correlated error, metres east and north.
 
-        The part that lasts: what changes from fix to fix cannot be told from the boxes' own noise,
-        and is part of each position's covariance. 0 where the model does not tell the two apart.
+        White noise from fix to fix cannot be told from the boxes' own noise, and is part of each
+        position's covariance. 0 where the model does not tell the two apart.
         """
         return self.regressor.reference_sigma_m
 
@@ -114,7 +114,7 @@ class Georeferencer:
         *,
         pose: Pose | None = None,
     ) -> Positions:
-        """Where boxes lie on the earth.
+        """Positions of boxes on the earth.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
@@ -162,7 +162,7 @@ class Georeferencer:
     def locate_body(
         self, boxes_xyxy_px: ArrayLike, source: ArrayLike | None = None
     ) -> BodyPositions:
-        """Where boxes lie relative to the platform that the camera stands on.
+        """Positions of boxes in the body frame of the camera's platform.
 
         Args:
             boxes_xyxy_px: See `locate`.
@@ -205,7 +205,7 @@ class Georeferencer:
         return placed, ~(known & self.support.holds(foot))
 
     def check_water(self, given: bool, where: str = "") -> None:
-        """Refuse to place boxes without a water level where the model needs one, or the reverse.
+        """Raise InputError where a water level is missing, or given to a model without one.
 
         Args:
             given: Whether a level is given.
@@ -227,7 +227,7 @@ class Georeferencer:
         )
 
     def above_m(self, water_level_m: ArrayLike | None) -> FloatArray:
-        """How high the water stands above the plane that the camera's height is over.
+        """Water level above the plane that the camera's height is over.
 
         Args:
             water_level_m: See `locate`.
@@ -250,7 +250,7 @@ class Georeferencer:
         return above
 
     def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
-        """Boxes as the camera would have seen them if it had lain as it did for the model.
+        """Boxes stabilised and compensated to the camera of the model.
 
         Args:
             boxes: With the state of the camera in their moments.
@@ -271,7 +271,7 @@ class Georeferencer:
         return boxes
 
     def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
-        """Boxes with their positions, by the state of the camera in their moments.
+        """Locate boxes with the camera state at their times.
 
         Args:
             boxes: As the camera saw them, with their times.
@@ -319,7 +319,7 @@ class Georeferencer:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the model to a file, whole or not at all; see `sightline.load`.
+        """Write the model to a file, atomically; see `sightline.load`.
 
         Raises:
             InputError: The file cannot be written.
@@ -347,7 +347,7 @@ class Georeferencer:
 
 
 def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) -> Georeferencer:
-    """Read a georeferencer.
+    """Read a georeferencer from a model file.
 
     Args:
         path: Of the file.
@@ -392,7 +392,7 @@ def _build(
 
 
 def _settings(content: dict[str, Any]) -> dict[str, Any]:
-    """The model's settings; files of release 0.1 kept logarithms, and had other names."""
+    """Settings of a model file; release 0.1 kept logarithms, and other names."""
     settings = dict(content["settings"])
     if content["format_version"] == 1:
         for key in {"noise", "prior"} & settings.keys():

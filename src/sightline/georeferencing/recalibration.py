@@ -1,11 +1,11 @@
-"""Whether a camera still stands as it did when its model was fitted.
+"""Recalibration: priors from an earlier model, and detection of a camera change since.
 
-Where pictures show what the model's view shows, they tell; see `sightline.camera.rotation`.
-Elsewhere boxes and a log do.
-A camera that was bumped shows as a shift of all that it sees: columns say by how much its heading
-changed, rows its pitch, and their slope across the picture its roll. The shift is estimated against
-the model, with the model's noise, and again over time (a likelihood ratio over all moments at which
-it may have happened; Page 1954, Hinkley 1970).
+Where frames show the static scene of the model's reference view, they are registered against it;
+see `sightline.camera.rotation`. Elsewhere boxes are compared with a log. A camera that was bumped
+shows as a shift of all that it sees: columns say by how much its heading changed, rows its pitch,
+and their slope across the picture its roll. The shift is estimated against the model, with the
+model's noise, and again over time (a likelihood ratio over all moments at which it may have
+happened; Page 1954, Hinkley 1970).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _MOST_DEG = 3.0
 
 @dataclass(frozen=True)
 class CameraChange:
-    """How a camera was turned since its model was fitted.
+    """A camera rotation since the model was fitted.
 
     Attributes:
         recording: In which recording it shows.
@@ -67,7 +67,7 @@ class CameraChange:
 
     @property
     def angles(self) -> str:
-        """The three in words."""
+        """The three angles in words."""
         return (
             f"{self.heading_deg:+.2f} degrees in heading, {self.pitch_deg:+.2f} in pitch and "
             f"{self.roll_deg:+.2f} in roll"
@@ -76,10 +76,10 @@ class CameraChange:
 
 @dataclass(frozen=True)
 class CameraChangeReport:
-    """What a new day says of how the camera of a model lies now.
+    """Whether the camera has changed since its model was fitted, with reasons in words.
 
     Attributes:
-        turned: Whether it no longer lies as for the model.
+        turned: Whether the camera was rotated since.
         statements: What is known of it, in words.
     """
 
@@ -88,11 +88,11 @@ class CameraChangeReport:
 
 
 def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> CameraPrior:
-    """What a model believes of its camera, as beliefs before a new day.
+    """The camera prior for a new fit, from an earlier model.
 
     Args:
         model: With a camera.
-        turned: Whether the camera was turned since, so that its pitch and roll tell nothing.
+        turned: Whether the camera was rotated since, so that its pitch and roll tell nothing.
         inflation: By how much standard deviations grow: a model is surer of itself than it ought.
 
     Raises:
@@ -123,15 +123,15 @@ def detect_camera_change(
     pairs: Correspondences,
     static_intervals: Mapping[str, Sequence[StaticInterval]],
 ) -> CameraChangeReport:
-    """Whether a camera was turned since its model was fitted.
+    """Detect whether the camera was rotated since its model was fitted.
 
-    Pictures tell it where they show what the model's view shows, to some hundredths of a degree;
-    boxes and the log tell it elsewhere.
+    Frames show it to some hundredths of a degree where they show the static scene of the model's
+    reference view; boxes and the log show it elsewhere.
 
     Args:
         model: With a camera.
         pairs: Boxes and places of a new day, in the model's plane.
-        static_intervals: How the camera stood in the new day's recordings, by their names.
+        static_intervals: Of the new day's recordings, by their names.
 
     Raises:
         InputError: The model has no camera.
@@ -177,7 +177,7 @@ def detect_camera_change(
 def camera_changes(
     model: Georeferencer, pairs: Correspondences, *, correlation_time_s: float = 2.0
 ) -> tuple[CameraChange, ...]:
-    """Where boxes say that the camera was turned; nothing where it was not.
+    """Camera rotations that boxes and logs show; none where there are none.
 
     Args:
         model: With a camera.
@@ -258,7 +258,7 @@ def _huber(standard: FloatArray) -> FloatArray:
 def _residuals(
     model: Georeferencer, pairs: Correspondences
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Seen minus expected feet, by the turns (N, 2, 3), their spread (N, 2), and times."""
+    """Residuals of foot points, Jacobian by the rotation (N, 2, 3), standard deviations, times."""
     regressor = model.calibrated
     assert regressor is not None, "the caller has looked"
     fit = regressor.fit_

@@ -1,4 +1,4 @@
-"""Whether a camera that ought to stand still did, and the state that its boxes are placed by."""
+"""Camera motion monitoring, and the camera state by which boxes are located."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _logger = logging.getLogger(__name__)
 
 
 class CameraMotionMonitor:
-    """Observes some of the frames that pass, and notes when their camera was rotated.
+    """Observes frames, and detects rotations of a camera that should be static.
 
     A camera that moves anyway, or whose horizon lies outside the picture, is not monitored.
     """
@@ -44,12 +44,12 @@ class CameraMotionMonitor:
         compensate: bool = True,
         water: WaterLevels | None = None,
     ) -> None:
-        """Take from the model where the horizon lies, and what stood still before it.
+        """Take the horizon and the reference view of the model.
 
         Args:
             model: Of the camera.
-            warn_of: The source, where each rotation is to be warned of as it is noticed.
-            compensate: Whether boxes are to be told of rotations.
+            warn_of: The source, where each rotation is to be warned of as it is detected.
+            compensate: Whether rotations are compensated in boxes.
             water: How high the water stands.
         """
         self._history = CameraHistory(water=water)
@@ -62,16 +62,16 @@ class CameraMotionMonitor:
 
     @property
     def history(self) -> CameraHistory:
-        """What is known by now."""
+        """The camera history so far."""
         return self._history
 
     @property
     def able(self) -> bool:
-        """Whether any frame is looked at."""
+        """Whether the camera can be monitored."""
         return self._watch is not None
 
     def observe(self, frame: Frame) -> CameraTurn | None:
-        """Observe a frame, where the last was long enough ago; the rotation noticed in it."""
+        """Observe a frame, at most one a second; returns the rotation detected in it."""
         if self._watch is None or not frame.time_utc_s >= self._next_s:
             return None
         if frame.image_bgr.shape[1::-1] != self._size_px:
@@ -102,7 +102,7 @@ class CameraMotionMonitor:
             _logger.warning("%s: %s", self._warn_of, sentences)
 
     def observed(self, batches: Iterable[Boxes]) -> Iterator[ObservedBoxes]:
-        """Boxes with the state of the camera, buffered until no earlier rotation can be detected.
+        """Buffer boxes until no earlier rotation can still be detected.
 
         Args:
             batches: In the order of time, of frames that were observed.
@@ -122,12 +122,12 @@ class CameraMotionMonitor:
 def recording_history(
     recording: Recording, model: Georeferencer, *, pictures: bool = True
 ) -> CameraHistory:
-    """How the camera lay in a recording against how it lies for a model, and the water level.
+    """Camera rotation, horizons and water levels of a recording, against a model.
 
     Args:
         recording: With or without pictures.
-        model: To place its boxes.
-        pictures: Whether its pictures are asked if the camera was rotated.
+        model: To locate its boxes.
+        pictures: Whether its frames are observed for camera rotation.
 
     Raises:
         InputError: The recording has water levels and the model knows of none, or the reverse.
@@ -141,16 +141,16 @@ def recording_history(
 
 
 def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
-    """What the pictures of a recording say of turns of its camera.
+    """Camera rotations that the frames of a recording show, in words.
 
     Args:
         recording: With or without pictures.
-        model: Says how its camera lies.
+        model: Whose camera it is compared with.
 
     Returns:
-        A sentence or more, where the camera was turned in the recording, or lay otherwise than
-        for the model, or its pictures cannot be compared with what the model's camera saw; None
-        where it lay as for the model, or there are no pictures or no view to compare.
+        A sentence or more, where the camera was rotated in the recording or against the model's
+        camera, or its frames cannot be registered against the model's reference view; None where
+        it was not rotated, or there are no frames or no view to compare.
     """
     if model.camera is None or model.moving:
         return None
@@ -163,7 +163,7 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
 
 
 def turn_sentence(turn: CameraTurn) -> str:
-    """A turn in words."""
+    """A camera rotation in words."""
     heading = (
         f"{turn.heading_deg:+.2f} degrees in heading"
         if np.isfinite(turn.heading_deg)
@@ -177,7 +177,7 @@ def turn_sentence(turn: CameraTurn) -> str:
 
 
 def _recognised(model: Georeferencer, static_intervals: Sequence[StaticInterval]) -> bool:
-    """Whether a recording's beginning shows what stood still before the model's camera.
+    """Whether a recording begins with the static scene of the model's reference view.
 
     True as well where the model has no view to compare it with.
     """

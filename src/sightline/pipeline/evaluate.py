@@ -1,4 +1,4 @@
-"""How far a model's positions and tracks are from the logs of a scene."""
+"""Evaluation of a model's positions and tracks against the logs of a scene."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def evaluate(
     mmsi: int | None = None,
     delta_s: float = 1.0,
 ) -> Report:
-    """How far tracks are from a log, or a model from a scene's boxes and logs.
+    """Evaluate tracks against a log, or a model against a scene's boxes and logs.
 
     Args:
         what: Tracks, or a scene; or the file of either.
@@ -90,7 +90,7 @@ def evaluate(
 
 @dataclass(frozen=True, eq=False)
 class LocatedRecording:
-    """The target's boxes in one recording, where a model puts them, and its log.
+    """The located boxes of the target in one recording, with its log.
 
     Attributes:
         recording: Its name.
@@ -107,7 +107,7 @@ class LocatedRecording:
     platform: Platform | None = None
 
     def single(self) -> ScoredPairs:
-        """Each box by itself beside the log."""
+        """Single boxes paired with the log."""
         return pair_positions(
             self.boxes.time_utc_s,
             positions_on_earth(self.boxes, self.platform),
@@ -124,7 +124,7 @@ class LocatedRecording:
         )
 
     def states(self, motion: MotionModel | None = None) -> MotionState | None:
-        """What was known of the target at each box, by that and those before.
+        """Filtered states of the target, one a box.
 
         None where no box has a place.
 
@@ -135,11 +135,11 @@ class LocatedRecording:
 
 
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[LocatedRecording]:
-    """The boxes of all recordings that have boxes and a log, each with its model.
+    """Locate the boxes of all recordings that have boxes and a log, each with its model.
 
     Args:
         scene: The scene.
-        model_for: From a recording's name to the model that is to place its boxes.
+        model_for: From a recording's name to the model that locates its boxes.
 
     Raises:
         InputError: No recording has both.
@@ -166,7 +166,7 @@ def score(
     *,
     delta_s: float = 1.0,
 ) -> Report:
-    """The report of placed boxes, single or as trajectories.
+    """Report of located boxes, single or as trajectories.
 
     Recordings of which no box falls into the log are left out.
 
@@ -198,7 +198,7 @@ def score(
 
 
 def with_forecasts(report: Report, placed: Sequence[LocatedRecording]) -> Report:
-    """A report of placed boxes with the errors of the forecasts made from them.
+    """Add the errors of forecasts to a report of located boxes.
 
     Args:
         report: Of these boxes.
@@ -223,7 +223,7 @@ def leave_one_out(
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
 ) -> dict[str, Georeferencer]:
-    """For each recording with pairs a model that never saw it.
+    """Leave-one-out models: for each recording with correspondences one that never saw it.
 
     Args:
         scene: The scene.
@@ -244,7 +244,7 @@ def leave_one_out(
 
 
 def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str]:
-    """Names of the recordings that can be left out of a fit in turn: at least two.
+    """Names of the recordings to leave out in turn: at least two.
 
     Args:
         scene: In whose order they come.
@@ -271,7 +271,7 @@ def compare(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[Comparison, dict[str, list[LocatedRecording]]]:
-    """Leave one recording out at a time, for each model, as in the paper's Table 2.
+    """Compare models by leave-one-out cross-validation, as in the paper's Table 2.
 
     Args:
         scene: At least two recordings with boxes and fixes.

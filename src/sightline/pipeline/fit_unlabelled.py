@@ -1,4 +1,4 @@
-"""A georeferencer from a scene in which nobody drew a box."""
+"""Fit a georeferencer to a scene without drawn boxes."""
 
 from __future__ import annotations
 
@@ -65,11 +65,11 @@ def fit_scene(
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from a scene, whether or not somebody drew boxes.
+    """Fit a georeferencer to a scene, with or without drawn boxes.
 
-    Where a recording has drawn boxes and a log, or there are only control points, this is
-    `fit`. Otherwise the logged vessels are recognised among the
-    recordings' ``detections``, or among what a detector finds in their pictures.
+    Where a recording has drawn boxes and a log, or there are only control points, this is `fit`.
+    Otherwise the logged vessels are recognised among the recordings' ``detections``, or among what
+    a detector finds in their frames.
 
     Args:
         scene: The scene.
@@ -78,8 +78,8 @@ def fit_scene(
         extra: As for `fit`.
         detector: Name of the detector, or an object, for recordings that have pictures but no boxes
             of any kind; None: these are left out.
-        seen: What it found there, for who has looked already.
-        largest_offset_s: How far the clocks may be off.
+        seen: Its detections, where they are there already.
+        largest_offset_s: Largest clock offset.
         progress: Told what is being done.
 
     Raises:
@@ -130,7 +130,7 @@ def associate_scene(
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Association:
-    """Recognise the logged vessels of a scene.
+    """Associate detections with the logged vessels of a scene.
 
     Args:
         scene: Says where its camera stands.
@@ -195,7 +195,7 @@ def associate_scene(
 def _over_water(
     watches: Sequence[RecordingObservations], scene: Scene
 ) -> list[RecordingObservations]:
-    """Watches that know how high the water stood, above its middle over all of them."""
+    """Observations with their water level, above its median over all of them."""
     levels = [levels_at(scene[watch.name], watch.seen.time_utc_s) for watch in watches]
     middle_m = float(np.median(np.concatenate(levels)))
     return [
@@ -212,7 +212,7 @@ def fit_association(
     lower_edges: Mapping[str, LowerEdge | None] | None = None,
     seen: SceneDetections | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from what was recognised.
+    """Fit a georeferencer to the associated boxes.
 
     Args:
         scene: The scene.
@@ -220,7 +220,7 @@ def fit_association(
         model: One of `MODELS`, or a model type.
         seed: Of whatever is random in the fit.
         lower_edges: Where the boxes of each source end, as `SceneDetections` tells.
-        seen: Who has looked at the scene's pictures already.
+        seen: Detections in the scene's frames, where they are there already.
 
     Raises:
         FitError: There are too few boxes.
@@ -283,10 +283,10 @@ def update_scene(
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Georeferencer:
-    """Improve a model with a new day, and say whether its camera was turned since.
+    """Recalibrate a model with a new day, and detect whether its camera was rotated since.
 
-    What the old model knew of height, focal length, pitch and roll is believed, twice as unsure as
-    it said; pitch and roll are learned anew where the camera was turned.
+    The old model's height, focal length, pitch and roll are the prior, with twice their standard
+    deviations; pitch and roll are estimated anew where the camera was rotated.
 
     Args:
         scene: The new day, of the same camera.
@@ -373,7 +373,7 @@ def update_scene(
 def recognised_correspondences(
     association: Association, plane: LocalPlane, scene: Scene
 ) -> Correspondences:
-    """Boxes that were recognised, thinned, with the places of their vessels."""
+    """Correspondences of the associated boxes, thinned."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
@@ -405,7 +405,7 @@ def recognised_correspondences(
 def _measured(
     pairs: Correspondences, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
 ) -> dict[str, SourcePrior]:
-    """What is believed of the boxes of detectors whose lower edge was measured.
+    """Priors of the lower-edge bias of detectors for which it was measured.
 
     A share of the boat's height is metres at the boat, as many as it is high.
     """
@@ -435,12 +435,12 @@ def _measured(
 def scene_landmarks(
     scene: Scene, association: Association, seen: SceneDetections | None = None
 ) -> Landmarks:
-    """What the edge of the water in the recordings' pictures tells; none where it is not seen.
+    """Landmarks along the shoreline in a scene's frames; none where it is not seen.
 
     Args:
         scene: The scene.
         association: Of the scene.
-        seen: Who has looked at the pictures already.
+        seen: Detections in the scene's frames, where they are there already.
     """
     seen = seen or SceneDetections(scene, None)
     width = scene.image_size_px[0]
@@ -464,7 +464,7 @@ def _edge(
 
 
 def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Boxes | None:
-    """The boxes of anything in a recording, None where nothing tells them."""
+    """Detections in a recording; None where there are none."""
     if recording.detections_path is not None:
         return recording.detections()
     if seen is None or recording.source is None:
@@ -475,7 +475,7 @@ def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Bo
 def _paths(
     recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float
 ) -> tuple[ReferenceTrajectory, ...]:
-    """The logs that tell anything of the time of a recording."""
+    """Reference trajectories of the logs that overlap a recording in time."""
     first = boxes.time_utc_s.min() - largest_offset_s
     last = boxes.time_utc_s.max() + largest_offset_s
     out = []
@@ -487,7 +487,7 @@ def _paths(
 
 
 def _thinned(time_s: FloatArray) -> IntArray:
-    """Indices of times in order that are far enough apart, and not too many."""
+    """Indices of times in order, thinned to the correlation time and to a maximum count."""
     apart = max(CORRELATION_TIME_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
     out: list[int] = []
     last = -np.inf

@@ -1,4 +1,4 @@
-"""The main job: all stages in a row, for every recording of a scene."""
+"""The whole pipeline: all stages in a row, for every recording of a scene."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ from sightline.types import NO_TRACK, Boxes, Track
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What `run` made of a scene.
+    """Model, tracks and reports that `run` made of a scene.
 
     Attributes:
         scene: The scene.
@@ -150,7 +150,7 @@ def run(
 
 @dataclass(frozen=True, eq=False)
 class _Tracked:
-    """What is tracked in each recording.
+    """Tracks of each recording, with their scores.
 
     Attributes:
         tracks: By ``RunResult.model``.
@@ -217,7 +217,7 @@ def _report_boxes(single: Mapping[str, ScoredPairs], names: Collection[str]) -> 
 
 
 def _in_sample(apart: Sequence[str], failed: FitError | None) -> str:
-    """Says of which recordings the figures are those of a model that learned from them.
+    """Sentence that names the recordings whose figures are in-sample.
 
     Args:
         apart: Their names; none: all.
@@ -238,7 +238,7 @@ def _in_sample(apart: Sequence[str], failed: FitError | None) -> str:
 
 
 def _drawn(scene: Scene) -> bool:
-    """Whether somebody drew boxes of a logged target."""
+    """Whether the scene has drawn boxes of a logged target."""
     return any(r.boxes_path and r.fixes_path for r in scene.recordings)
 
 
@@ -250,7 +250,7 @@ def _leave_each_out(
     seen: SceneDetections,
     tell: Progress,
 ) -> tuple[dict[str, Georeferencer], FitError | None]:
-    """For each recording that teaches a model that never saw it, and why the first has none."""
+    """Leave-one-out model of each recording that teaches, and why the first has none."""
     drawn = _drawn(scene)
     models: dict[str, Georeferencer] = {}
     failed: FitError | None = None
@@ -281,7 +281,7 @@ def _unseen(recording: Recording) -> bool:
 
 
 def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
-    """What a detector makes of the target where somebody has drawn its boxes.
+    """Detections of the target in recordings where its boxes were drawn.
 
     Every source of boxes has its own bias at the lower edge. Where the same target was drawn and
     detected in the same frames, the fit learns both.
@@ -297,7 +297,7 @@ def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
 
 
 def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
-    """Of the boxes found those that lie on a box drawn in the same frame, the best for each."""
+    """Detections that overlap a box drawn in the same frame, the best for each."""
     rows = []
     for frame, box in zip(drawn.frame, drawn.xyxy_px, strict=True):
         here = np.flatnonzero(found.frame == frame)
@@ -313,7 +313,7 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
 def track_recording(
     recording: Recording, model: Georeferencer, seen: SceneDetections, settings: TrackSettings
 ) -> list[Track]:
-    """The tracks of a recording: of the target that somebody drew, or of whatever is seen."""
+    """Tracks of a recording: of the drawn target, or of all detections."""
     smoother = method(settings.trajectory)
     where = f"recording {recording.name}"
     platform = recording.platform()

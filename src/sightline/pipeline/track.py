@@ -1,4 +1,4 @@
-"""From boxes with times to tracks: one id a target, a place a box, a smooth path."""
+"""Tracks from boxes with times: tracking, georeferencing and smoothing."""
 
 from __future__ import annotations
 
@@ -64,14 +64,13 @@ _LOOKED_AT_BOXES = 1000
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """How boxes become tracks.
+    """Settings of `track`.
 
     Attributes:
         trajectory: The trajectory method: ``"rts"``, ``"paper"``, another package's name, or an
             object.
-        tracker: What says which boxes are of one target: another package's name, or an object or a
-            callable that makes one. None: on the earth where the model has a camera, else in the
-            image.
+        tracker: The tracker: another package's name, or an object or a callable that makes one.
+            None: on the earth where the model has a camera, else in the image.
         interval_s: Time between the points of a track; None: a point a box.
         ends_after_s: A target not seen for as long has gone; its track is smoothed and let go.
         shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
@@ -185,7 +184,7 @@ def iter_tracks(
     progress: Progress | None = None,
     forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
-    """As `track`, one track at a time, each as soon as its target has gone; memory stays flat.
+    """As `track`, yielding each track once its target has gone, in constant memory.
 
     Args:
         source: See `track`.
@@ -269,7 +268,7 @@ def follow(
     platform: Platform | None = None,
     forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
-    """The tracks of boxes, each as soon as its target has gone; a box is placed once.
+    """Tracks of boxes, each once its target has gone; each box is located once.
 
     Args:
         batches: In the order of time from one to the next.
@@ -325,7 +324,7 @@ def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform |
 def _forecast(
     boxes: LocatedBoxes, settings: TrackSettings, track: Track, platform: Platform | None
 ) -> Track:
-    """The forecast of a track from its last position on."""
+    """Forecast of a track from its last position on."""
     known = states(boxes, platform, track_id=track.track_id)
     assert known is not None, "the track is of these boxes"
     state = known[-1:]
@@ -335,7 +334,7 @@ def _forecast(
 
 
 def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) -> Iterator[Boxes]:
-    """Boxes with the ids that a tracker gives them, in the order of time.
+    """Boxes with the track ids that a tracker assigns, in the order of time.
 
     Args:
         batches: In the order of time from one to the next.
@@ -350,7 +349,7 @@ def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) 
 
 
 def _still_located(kept: Boxes, given: Boxes) -> Boxes:
-    """Boxes that a tracker gave back, with the positions of those that it was given."""
+    """Boxes returned by a tracker, with the positions of those that it was given."""
     if isinstance(kept, LocatedBoxes) or not isinstance(given, LocatedBoxes):
         return kept
     same = (kept.xyxy_px[:, None] == given.xyxy_px[None]).all(axis=2)
@@ -360,7 +359,7 @@ def _still_located(kept: Boxes, given: Boxes) -> Boxes:
 
 
 class _OpenTracks:
-    """Boxes of targets that are still there, by track id."""
+    """Boxes of targets that have not gone yet, by track id."""
 
     def __init__(self, settings: TrackSettings, highest_id: int) -> None:
         self._settings = settings
@@ -374,7 +373,7 @@ class _OpenTracks:
         self._last_s: dict[int, float] = {}
 
     def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
-        """Take boxes with ids, and give back the boxes of each target when it has gone."""
+        """Add boxes with track ids, and return the boxes of each target that has gone."""
         for batch in batches:
             yield from self._add(batch)
         for key in list(self._first_s):
@@ -410,7 +409,7 @@ class _OpenTracks:
         return ended + self._end_the_gone(float(batch.time_utc_s[-1]))
 
     def _add_moments(self, batch: Boxes) -> list[tuple[int, Boxes]]:
-        """As `_add` of one moment after another: by hand, since each is of a few boxes."""
+        """As `_add`, moment by moment, in plain Python: each is of a few boxes."""
         ended: list[tuple[int, Boxes]] = []
         longest_s, gap_s = self._settings.longest_s, self._settings.ends_after_s
         first, last = self._first_s, self._last_s
@@ -438,7 +437,7 @@ class _OpenTracks:
         return [self._end(k) for k in list(self._first_s) if now_s - self._last_s[k] > limit]
 
     def _put_by(self, batch: Boxes, start: int, stop: int) -> None:
-        """Keep rows, to be sorted by track with others."""
+        """Buffer rows, to be sorted by track with others."""
         if start < stop:
             self._unsorted.append(batch[start:stop])
             self._unsorted_rows += stop - start
@@ -446,7 +445,7 @@ class _OpenTracks:
             self._sort()
 
     def _sort(self) -> None:
-        """Give all boxes that were put by to their tracks."""
+        """Move all buffered boxes to their tracks."""
         if not self._unsorted:
             return
         boxes = Boxes.concatenate(self._unsorted)
@@ -458,7 +457,7 @@ class _OpenTracks:
             self._take(int(boxes.track_id[rows[0]]), boxes[rows])
 
     def _until_cut(self, key: int, times_s: FloatArray) -> int:
-        """How many of the next boxes still belong to the open track of a target."""
+        """Number of the next boxes that still belong to the open track of a target."""
         first_s = self._first_s.get(key, float(times_s[0]))
         before = np.r_[self._last_s.get(key, times_s[0]), times_s[:-1]]
         cut = times_s - before > self._settings.ends_after_s
@@ -478,7 +477,7 @@ class _OpenTracks:
         return self._number(key), Boxes.concatenate(self._parts.pop(key))
 
     def _number(self, key: int) -> int:
-        """The id of a track: the boxes' own where they have one, another when a target returns."""
+        """Track id: the boxes' own where they have one, a new one when a target returns."""
         if key > self._highest_id or key in self._used:
             return next(self._spare)
         self._used.add(key)
@@ -486,7 +485,7 @@ class _OpenTracks:
 
 
 def check_platform(model: Georeferencer, platform: Platform | None, where: str = "") -> None:
-    """Refuse a model of a camera that moves for one that does not, and the reverse.
+    """Raise InputError where only one of model and recording has a moving platform.
 
     Args:
         model: The model.
@@ -511,12 +510,12 @@ def check_platform(model: Georeferencer, platform: Platform | None, where: str =
 def positions_on_earth(
     boxes: Boxes, platform: Platform | None = None, *, until_then: bool = False
 ) -> Positions:
-    """The positions of located boxes on the earth.
+    """Positions of located boxes on the earth.
 
     Args:
         boxes: `LocatedBoxes`.
         platform: What the camera stands on, where that moves.
-        until_then: Whether that was where its fixes until each time tell.
+        until_then: Whether its pose is estimated from its fixes until each time only.
     """
     if not isinstance(boxes, LocatedBoxes):
         raise TypeError("boxes have positions once a model has placed them (Georeferencer.place)")
@@ -535,7 +534,7 @@ def states(
     motion: MotionModel | None = None,
     track_id: int = 0,
 ) -> MotionState | None:
-    """What was known of one target at each box with a place, by that and those before.
+    """Filtered states of one target, one at each located box.
 
     A camera that moves was where its own log says by its fixes until then.
 
@@ -574,7 +573,7 @@ def smooth_boxes(
     shortest_s: float = 0.0,
     platform: Platform | None = None,
 ) -> Track | None:
-    """The smooth track of one target's boxes; None where they have positions for too short.
+    """Smooth track of one target's boxes; None where they cover too short a time.
 
     Before a moving camera the path relative to it is smoothed, and then put where the camera was.
     """

@@ -1,4 +1,4 @@
-"""How the camera pointed in the recordings of a scene, by their tables or their pictures."""
+"""Horizons and static intervals of a scene's recordings, from their tables or frames."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from sightline.types import Horizons
 
 
 def scene_horizons(recording: Recording) -> Horizons | None:
-    """Where the horizon lies in a recording: as its table says, or as its pictures show.
+    """Horizons of a recording: from its table, or detected in its frames.
 
-    Pictures are only looked at where the camera stands on a platform that moves.
+    Frames are only decoded where the camera is on a platform that moves.
 
     Raises:
         InputError: A file of the recording cannot be used.
@@ -30,7 +30,7 @@ def scene_horizons(recording: Recording) -> Horizons | None:
     return _in_pictures(recording, recording.source.stat().st_mtime_ns)
 
 
-# Leaving one recording out at a time asks again and again, and a look at every picture takes long.
+# Leaving one recording out at a time asks again and again, and to decode every frame takes long.
 @lru_cache(maxsize=32)
 def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
     seen = [
@@ -44,11 +44,11 @@ def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
 def scene_static_intervals(
     scene: Scene, progress: Progress | None = None
 ) -> dict[str, tuple[StaticInterval, ...]]:
-    """`recording_static_intervals` of all recordings of a scene in which it is asked for.
+    """Static intervals of all recordings of a scene that compensates camera rotation.
 
     Args:
         scene: Its recordings' pictures.
-        progress: Told what is being looked at: a long video takes long.
+        progress: Told which recording is observed: a long video takes long.
     """
     if scene.moves or not scene.camera.compensate_rotation:
         return {}
@@ -67,12 +67,12 @@ _logger = logging.getLogger(__name__)
 _MOST_REMEMBERED = 128
 
 
-# Leaving one recording out at a time asks again and again, and to look at pictures takes long.
+# Leaving one recording out at a time asks again and again, and to decode frames takes long.
 _remembered: dict[tuple[Recording, int], tuple[StaticInterval, ...]] = {}
 
 
 def recording_static_intervals(recording: Recording) -> tuple[StaticInterval, ...]:
-    """How the camera stood in a recording, by its pictures; none where there are no pictures.
+    """Static intervals of a recording, from its frames; none where there are no frames.
 
     Where they cannot be read, a warning says so: boxes that somebody drew do without them.
     """
@@ -91,14 +91,14 @@ def recording_static_intervals(recording: Recording) -> tuple[StaticInterval, ..
 
 
 def static_intervals_known(recording: Recording) -> bool:
-    """Whether the pictures of a recording were looked at before."""
+    """Whether the static intervals of a recording are cached."""
     return _key(recording) in _remembered
 
 
 def remember_static_intervals(
     recording: Recording, static_intervals: tuple[StaticInterval, ...]
 ) -> None:
-    """Keep static intervals that a monitor found while the pictures passed.
+    """Cache static intervals that a monitor found during another pass.
 
     Args:
         recording: With pictures.

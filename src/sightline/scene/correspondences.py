@@ -1,4 +1,4 @@
-"""Boxes beside the place that the log states, collected from the files of a scene."""
+"""Collection of a scene's correspondences: boxes beside the places that the logs state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def collect(
     pictures: bool = True,
     progress: Progress | None = None,
 ) -> FitInputs:
-    """Read from the files of a scene all that a fit learns from.
+    """Read all inputs of a fit from the files of a scene.
 
     Args:
         scene: Its recordings' boxes and logs, and its control points.
@@ -33,7 +33,7 @@ def collect(
             bias of a detector is learned beside that of an annotator. The residual process of
             ``camera+gpr`` learns nothing of them.
         pictures: Whether the pictures of the recordings are asked if the camera was turned.
-        progress: Told which recording's pictures are looked at.
+        progress: Told which recording's frames are observed.
 
     Raises:
         InputError: A file of the scene cannot be used.
@@ -66,7 +66,7 @@ def collect(
 
 
 def _middle(scene: Scene) -> LocalPlane:
-    """A plane in the middle of what is known, for a camera of which nobody knows where it is."""
+    """A plane at the centre of what is known, for a camera of unknown position."""
     latitudes, longitudes = (
         [scene.control_points.latitude_deg],
         [scene.control_points.longitude_deg],
@@ -93,7 +93,7 @@ def scene_correspondences(
     largest_gap_s: float = LARGEST_GAP_S,
     extra: Mapping[str, Boxes] | None = None,
 ) -> Correspondences:
-    """The pairs of all recordings that have boxes and a log.
+    """Correspondences of all recordings that have boxes and a log.
 
     Where the camera stands on a platform that moves, places are those that the platform saw: to
     starboard and ahead of it.
@@ -169,7 +169,7 @@ def scene_correspondences(
 
 
 def levels_at(recording: Recording, time_utc_s: FloatArray) -> FloatArray:
-    """(N,) how high the water stood in a recording, metres above the datum.
+    """(N,) water level of a recording at times, metres above the datum.
 
     Args:
         recording: One that has a water level.

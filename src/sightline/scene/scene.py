@@ -1,4 +1,4 @@
-"""The scene file: which camera, which recordings, which logs.
+"""The scene file: camera, recordings and logs.
 
 TOML, with paths relative to the file. The whole of it is checked when it is loaded, the files
 that it names are opened when they are asked for.
@@ -39,15 +39,14 @@ _FILES = (
 
 @dataclass(frozen=True)
 class CameraSite:
-    """Where the camera stands, as far as it is known, and the size of its picture.
+    """Position of the camera, as far as it is known, and the size of its image.
 
     Attributes:
         name: Of the camera, or ``""``.
         latitude_deg: Degrees north; None if it is not known.
         longitude_deg: Degrees east; None if it is not known.
         image_size_px: Width and height; None where the scene file leaves that to the video.
-        compensate_rotation: Whether pictures are asked if the camera was rotated, and a rotation is
-            compensated.
+        compensate_rotation: Whether camera rotation seen in the frames is compensated.
     """
 
     name: str = ""
@@ -71,10 +70,10 @@ class Recording:
         detections_path: Boxes of anything, or None.
         fixes_path: The log of the target, or None.
         mmsi: Which vessel of an AIS log, or None.
-        platform_path: The log of what the camera stands on, where that moves, or None.
-        horizon_path: Where the horizon lies in each frame, or None.
-        water_level_m: How high the water stood above the datum, or None.
-        water_levels_path: A table of how high it stood, or None.
+        platform_path: The log of the moving platform that the camera is on, or None.
+        horizon_path: A table of the horizon in each frame, or None.
+        water_level_m: Water level above the datum, or None.
+        water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
     """
 
@@ -119,7 +118,7 @@ class Recording:
         )
 
     def boxes(self) -> Boxes:
-        """The boxes of the target that was logged, with their times.
+        """The boxes of the logged target, with their times.
 
         Raises:
             InputError: The recording has none, they cannot be used, lie wholly outside the
@@ -144,7 +143,7 @@ class Recording:
         return self._timed(formats.read_boxes(path, source=path.stem, skip_empty=True), path)
 
     def fixes(self) -> Fixes:
-        """The log of the target.
+        """The log of the target, as fixes.
 
         Raises:
             InputError: The recording has none, or it cannot be used.
@@ -154,7 +153,7 @@ class Recording:
         return _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
 
     def platform(self) -> Platform | None:
-        """What the camera stands on, where that moves; None where it stands still.
+        """The platform that the camera is on; None where it is static.
 
         Raises:
             InputError: The log cannot be used.
@@ -164,7 +163,7 @@ class Recording:
         return _platform(self.platform_path, self.platform_path.stat().st_mtime_ns)
 
     def water_levels(self) -> WaterLevels | None:
-        """How high the water stood; None where nobody says.
+        """Water levels; None where none are given.
 
         Raises:
             InputError: The table cannot be used.
@@ -176,7 +175,7 @@ class Recording:
         return _water(self.water_levels_path, self.water_levels_path.stat().st_mtime_ns)
 
     def horizons(self) -> Horizons | None:
-        """Where the horizon lies in the frames, as its table says; None where there is no table.
+        """Horizons of the frames from their table; None where there is no table.
 
         Raises:
             InputError: The table cannot be used, or nothing tells the times of its frames.
@@ -204,7 +203,7 @@ class Recording:
         return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
 
     def frames(self, *, apart_s: float = 0.0) -> Iterator[Frame]:
-        """The pictures, one at a time, with their times; NaN where nothing tells them.
+        """The frames, one at a time, with their times; NaN where nothing tells them.
 
         Args:
             apart_s: Pictures that follow the one before them sooner are left out.
@@ -234,7 +233,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Scene:
-    """A camera and what it recorded.
+    """A camera and its recordings.
 
     Attributes:
         camera: Where it stands.
@@ -291,14 +290,14 @@ class Scene:
 
     @property
     def plane(self) -> LocalPlane | None:
-        """The plane whose origin is the camera; None where its place is not known."""
+        """The local plane with the camera as its origin; None where its position is not known."""
         if self.camera.latitude_deg is None or self.camera.longitude_deg is None:
             return None
         return LocalPlane(self.camera.latitude_deg, self.camera.longitude_deg)
 
     @property
     def moves(self) -> bool:
-        """Whether the camera stands on a platform that moves.
+        """Whether the camera is on a moving platform.
 
         Raises:
             InputError: It does in some recordings and not in others: these are two cameras.
@@ -311,7 +310,7 @@ class Scene:
 
     @property
     def tidal(self) -> bool:
-        """Whether the recordings say how high the water stood.
+        """Whether the recordings have water levels.
 
         Raises:
             InputError: Some do and some do not: then nobody knows what height that of the camera
@@ -337,7 +336,7 @@ class Scene:
 
     @property
     def image_size_px(self) -> tuple[int, int]:
-        """Width and height of the picture: as the scene file says, or of the first frame.
+        """Width and height of the image: as the scene file says, or of the first frame.
 
         Raises:
             InputError: Neither tells.
@@ -353,7 +352,7 @@ class Scene:
         )
 
     def __getitem__(self, name: str) -> Recording:
-        """The recording of a name.
+        """The recording with a name.
 
         Raises:
             InputError: There is none; lists the names that there are.
