@@ -62,7 +62,10 @@ class Fitted:
             else CameraRotation.of(static_intervals, self.camera, self.view)
         )
 
-    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+    def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
+        return boxes
+
+    def place_compensated(self, boxes: ObservedBoxes) -> LocatedBoxes:
         assert not len(boxes), "there are no boxes to place"
         empty = np.empty(0)
         nowhere = Positions(empty, empty, np.empty((0, 2, 2)), empty, self.plane)

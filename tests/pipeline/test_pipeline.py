@@ -1,7 +1,8 @@
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import cast
 
@@ -17,6 +18,7 @@ from sightline.geodesy import LocalPlane
 from sightline.pipeline import sources
 from sightline.pipeline.evaluate import leave_one_out, place_boxes
 from sightline.pipeline.track import TrackSettings, _OpenTracks
+from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
 from sightline.simulation.simulate import Simulation, simulate
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, LocatedBoxes, Positions, Track
 from sightline.video import write_video
@@ -38,7 +40,10 @@ class FromAbove:
     def check_water(self, given: bool) -> None:
         assert not given
 
-    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+    def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
+        return boxes
+
+    def place_compensated(self, boxes: ObservedBoxes) -> LocatedBoxes:
         xyxy, n = boxes.xyxy_px, len(boxes)
         positions = Positions(
             east_m=0.05 * (xyxy[:, 0] + xyxy[:, 2]),
@@ -127,6 +132,56 @@ def test_a_table_in_pieces_gives_the_tracks_of_the_whole(
     pieces = list(iter_tracks(table(tmp_path, boxes), MODEL, settings=QUICK))
     assert len(whole) == 7
     assert_same_tracks(pieces, whole)
+
+
+@pytest.fixture(scope="module")
+def many_boxes(small_camera: SimulatedCamera) -> Boxes:
+    """What a detector sees of eight vessels near and far, with the vessels' ids."""
+    harbour = Harbour.random(
+        3,
+        duration_s=30.0,
+        motorboats=4,
+        sailboats=2,
+        ferries=1,
+        anchored=0,
+        gulls=0,
+        camera=small_camera,
+    )
+    noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="detector")
+    return harbour.boxes(harbour.times(10.0), noise=noise, of="all", seed=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ids", [True, False], ids=["with ids", "without ids"])
+@pytest.mark.parametrize("model", ["camera", "camera+gpr"])
+def test_tracks_do_not_depend_on_how_a_table_is_cut(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    many_boxes: Boxes,
+    fitted: Callable[[str], Georeferencer],
+    ids: bool,
+    model: str,
+) -> None:
+    # To the last bit: what differs there in a position can be centimetres in a track far away.
+    boxes = (
+        many_boxes if ids else many_boxes.with_columns(track_id=np.full(len(many_boxes), NO_TRACK))
+    )
+    source = table(tmp_path, boxes)
+    number = attrgetter("track_id")
+    made = {}
+    for chunk_rows in (100, 1000, 20_000):
+        monkeypatch.setattr(sources, "_CHUNK_ROWS", chunk_rows)
+        forecasts: list[Track] = []
+        tracks = list(iter_tracks(source, fitted(model), forecasts=forecasts.append))
+        # With ids, those of which the same piece tells that they have gone come in the ids' order.
+        made[chunk_rows] = [*sorted(tracks, key=number), *sorted(forecasts, key=number)]
+    assert len(boxes) > 1500
+    assert len(made[20_000]) >= 10
+    for chunk_rows in (100, 1000):
+        for one, other in zip(made[chunk_rows], made[20_000], strict=True):
+            assert one.track_id == other.track_id
+            for name in Track._row_fields:
+                np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
 @pytest.mark.slow
@@ -226,6 +281,37 @@ def test_a_tracker_tells_targets_apart() -> None:
         # A box's foot lies within a few tenths of a pixel, a tenth of a metre each.
         np.testing.assert_allclose(one.north_m, 0.1 * (SIZE_PX[1] - y_px), atol=0.15)
         np.testing.assert_allclose(one.velocity_east_mps, 0.8, atol=0.4)
+
+
+class ByLane:
+    """A tracker that knows nothing of `LocatedBoxes`: each lane of the picture is a target."""
+
+    def __init__(self, *, moves_px: float = 0.0) -> None:
+        self._moves_px = moves_px
+
+    def update(self, boxes: Boxes) -> Boxes:
+        lane = (boxes.xyxy_px[:, 3] // 200.0).astype(int)
+        order = np.argsort(-lane)
+        return Boxes.of(
+            boxes.xyxy_px[order] + self._moves_px,
+            frame=boxes.frame[order],
+            time_utc_s=boxes.time_utc_s[order],
+            track_id=lane[order],
+        )
+
+    def reset(self) -> None:
+        pass
+
+
+def test_a_tracker_may_give_back_plain_boxes_in_another_order() -> None:
+    times = np.arange(0.0, 10.0, 0.2)
+    lanes = [crossing(250.0 + 200.0 * i, times, track_id=i + 1, seed=i) for i in range(3)]
+    boxes = in_order(lanes)
+    plain = boxes.with_columns(track_id=np.full(len(boxes), NO_TRACK))
+    made = track(plain, MODEL, settings=replace(QUICK, tracker=ByLane()))
+    assert_same_tracks(made, track(boxes, MODEL, settings=QUICK))
+    with pytest.raises(InputError, match="a box that it was not given"):
+        track(plain, MODEL, settings=replace(QUICK, tracker=ByLane(moves_px=1.0)))
 
 
 def test_boxes_without_an_id_among_those_that_have_one_are_of_no_target(tmp_path: Path) -> None:

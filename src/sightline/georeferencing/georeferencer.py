@@ -283,7 +283,17 @@ class Georeferencer:
         Raises:
             InputError: See `locate`.
         """
-        boxes = self.compensated(boxes)
+        return self.place_compensated(self.compensated(boxes))
+
+    def place_compensated(self, boxes: ObservedBoxes) -> LocatedBoxes:
+        """As `place`, of boxes that `compensated` has given back.
+
+        Args:
+            boxes: As the camera would have seen them if it had lain as it did for the model.
+
+        Raises:
+            InputError: See `locate`.
+        """
         state, plain = boxes.state, boxes.boxes
         if self.moving:
             return LocatedBoxes.at(plain, self.locate_body(plain.xyxy_px, plain.source))

@@ -40,6 +40,7 @@ from sightline.trajectory.forecast import follow as follow_motion
 from sightline.types import (
     NO_TRACK,
     Boxes,
+    BoxesWith,
     EastNorthPositions,
     FloatArray,
     Horizons,
@@ -268,7 +269,11 @@ def follow(
     platform: Platform | None = None,
     forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
-    """Tracks of boxes, each once its target has gone; each box is located once.
+    """Tracks of boxes, each once its target has gone.
+
+    The boxes of a track are placed together when it has ended, whatever batches they came in: the
+    last digits of a position depend on what else is in the batch, and what the smoother makes of
+    them is centimetres where a target is far away. Trackers are given the batches' own positions.
 
     Args:
         batches: In the order of time from one to the next.
@@ -285,15 +290,16 @@ def follow(
     """
     first_s: list[float] = []
     book = _OpenTracks(settings, highest_id)
-    located: Iterator[Boxes] = map(model.place, batches)
+    compensated = map(model.compensated, batches)
     if highest_id == NO_TRACK:
-        located = _followed(located, first_s, _tracker(model, settings, platform))
-        ended = book.ended_by_moment(located)
+        tracker = _tracker(model, settings, platform)
+        ended = book.ended_by_moment(_followed(compensated, model, first_s, tracker))
     else:
-        ended = book.ended(located)
+        ended = book.ended(compensated)
     count = 0
-    for number, boxes in ended:
-        assert isinstance(boxes, LocatedBoxes), "trackers hand on the rows that they were given"
+    for number, own in ended:
+        assert isinstance(own, ObservedBoxes), "the book hands on the rows that it was given"
+        boxes = model.place_compensated(own)
         made = smooth_boxes(
             boxes,
             smoother,
@@ -333,29 +339,51 @@ def _forecast(
     return state.forecast(lags, track_id=track.track_id, label=track.label)
 
 
-def _followed(batches: Iterator[Boxes], first_s: list[float], tracker: Tracker) -> Iterator[Boxes]:
+def _followed(
+    batches: Iterator[ObservedBoxes], model: Georeferencer, first_s: list[float], tracker: Tracker
+) -> Iterator[ObservedBoxes]:
     """Boxes with the track ids that a tracker assigns, in the order of time.
 
     Args:
-        batches: In the order of time from one to the next.
+        batches: In the order of time from one to the next, compensated.
+        model: Says where a box lies, as the tracker needs it.
         first_s: Is given the first of their times.
         tracker: Gives the ids.
     """
     several = tracker.follow if isinstance(tracker, TargetTracker) else None
-    for boxes in moments(batches) if several is None else whole_moments(batches):
-        if len(first_s) < _LOOKED_AT_BOXES:
-            first_s += np.unique(boxes.time_utc_s)[: _LOOKED_AT_BOXES - len(first_s)].tolist()
-        yield several(boxes) if several else _still_located(tracker.update(boxes), boxes)
+    for boxes in whole_moments(batches):
+        assert isinstance(boxes, ObservedBoxes), "parts of such have their state"
+        # What follows in the image needs no places.
+        located = boxes if isinstance(tracker, ImageTracker) else model.place_compensated(boxes)
+        if several is not None:
+            first_s += _first_times(boxes, _LOOKED_AT_BOXES - len(first_s))
+            yield _still_observed(several(located), boxes)
+            continue
+        for given in moments([located]):
+            first_s += _first_times(given, _LOOKED_AT_BOXES - len(first_s))
+            yield _still_observed(_given_back(tracker.update(given), given), boxes)
 
 
-def _still_located(kept: Boxes, given: Boxes) -> Boxes:
-    """Boxes returned by a tracker, with the positions of those that it was given."""
-    if isinstance(kept, LocatedBoxes) or not isinstance(given, LocatedBoxes):
+def _first_times(boxes: Boxes, most: int) -> list[float]:
+    times: list[float] = np.unique(boxes.time_utc_s)[:most].tolist() if most > 0 else []
+    return times
+
+
+def _given_back(kept: Boxes, given: Boxes) -> Boxes:
+    """Boxes that a tracker gave back, those that it was given."""
+    if isinstance(kept, LocatedBoxes):
         return kept
     same = (kept.xyxy_px[:, None] == given.xyxy_px[None]).all(axis=2)
-    if not same.any(axis=1).all():
+    if not (same.any(axis=1) & np.isin(kept.time_utc_s, given.time_utc_s)).all():
         raise InputError("the tracker gave back a box that it was not given; it only adds ids")
-    return LocatedBoxes.at(kept, given.positions[np.argmax(same, axis=1)])
+    return kept
+
+
+def _still_observed(kept: Boxes, given: ObservedBoxes) -> ObservedBoxes:
+    """Boxes that a tracker gave back, with the state of the camera, which is one at a time."""
+    plain = kept.boxes if isinstance(kept, BoxesWith) else kept
+    rows = np.searchsorted(given.time_utc_s, plain.time_utc_s)
+    return ObservedBoxes.at(plain, given.state[rows])
 
 
 class _OpenTracks:
