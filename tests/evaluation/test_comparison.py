@@ -113,13 +113,27 @@ def test_the_json_has_models_and_smoothed(tmp_path) -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0341, "0.034"), (4.666, "4.67"), (28.44, "28.4"), (12734.71, "12735"), (math.nan, "–")],
+    [
+        (0.0341, "0.034"),
+        (0.1, "0.10"),
+        (4.666, "4.67"),
+        (10.0, "10.0"),
+        (28.44, "28.4"),
+        (1000.0, "1000"),
+        (12734.71, "12735"),
+        (-28.44, "-28.4"),
+        (-0.0341, "-0.034"),
+        (math.nan, "–"),
+    ],
 )
 def test_numbers_have_the_digits_that_they_deserve(value: float, text: str) -> None:
     assert number(value) == text
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.0678, "6.8 %"), (0.941, "94 %"), (math.nan, "–")])
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0678, "6.8 %"), (0.0995, "10 %"), (0.941, "94 %"), (-0.25, "-25 %"), (math.nan, "–")],
+)
 def test_shares_are_percentages(value: float, text: str) -> None:
     assert percent(value) == text
 

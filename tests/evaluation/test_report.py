@@ -213,6 +213,17 @@ def test_tracks_of_several_recordings_are_chosen_in_each() -> None:
             "to 2020-09-30T19:37:23Z, the log from 2020-09-30T19:44:44Z to 2020-09-30T19:46:24Z",
         ),
         (
+            # The logs of several recordings are told as one, from the first fix to the last.
+            lambda: evaluate_tracks(
+                {"a": [track_off(4, 1.0)], "b": [track_off(4, 1.0)], "c": [track_off(4, 1.0)]},
+                {"a": log_between(700, 760), "b": log_between(500, 900), "c": Fixes([], [], [])},
+            ),
+            (
+                "from 2020-09-30T19:36:24Z to 2020-09-30T19:37:23Z, "
+                "the log from 2020-09-30T19:44:44Z to 2020-09-30T19:51:24Z"
+            ),
+        ),
+        (
             lambda: evaluate_tracks({"07": [track_off(4, 1.0)]}, {"08": log_between(0, 60)}),
             "recording 07: there is no log; logs are known for 08",
         ),

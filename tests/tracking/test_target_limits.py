@@ -76,9 +76,7 @@ def test_a_late_frame_ends_nothing_that_was_not_missed() -> None:
 
 
 @pytest.mark.parametrize(("silent_s", "expected"), [(1.0, [1]), (1.0 + STEP, [])])
-def test_single_boxes_are_given_to_what_was_just_seen(
-    silent_s: float, expected: list[int]
-) -> None:
+def test_single_boxes_are_given_to_what_was_just_seen(silent_s: float, expected: list[int]) -> None:
     tracker = followed(ImageTrackerSettings(coast_s=9.0, direct_s=1.0))
     ids_at(tracker, 2.0 + STEP, box=OTHER)
     assert ids_at(tracker, 2.0 + silent_s) == expected
@@ -127,9 +125,7 @@ def test_a_doubtful_box_confirms_nothing() -> None:
 
 def test_a_sure_box_is_taken_before_a_doubtful_one_that_lies_nearer() -> None:
     tracker = followed(ImageTrackerSettings())
-    moment = Boxes.of(
-        [BOAT, [x + 3.0 for x in BOAT]], time_utc_s=2.0 + STEP, confidence=[0.2, 0.9]
-    )
+    moment = Boxes.of([BOAT, [x + 3.0 for x in BOAT]], time_utc_s=2.0 + STEP, confidence=[0.2, 0.9])
     assert tracker.update(moment).xyxy_px[:, 0].tolist() == [103.0]
 
 
@@ -145,7 +141,7 @@ def test_a_confirmed_target_chooses_before_one_that_is_not() -> None:
 def test_limits_of_zero_are_allowed() -> None:
     tracker = ImageTracker(ImageTrackerSettings(confirm_s=0.0, coast_s=0.0, least_overlap=0.0))
     assert ids_at(tracker, 0.0) == [1]
-    with pytest.raises(InputError, match="confirm_s is -0.5"):
+    with pytest.raises(InputError, match=r"confirm_s is -0\.5"):
         WorldTrackerSettings(confirm_s=-0.5)
     with pytest.raises(InputError, match="gate is nan"):
         WorldTrackerSettings(gate=float("nan"))

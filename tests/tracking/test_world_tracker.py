@@ -286,9 +286,10 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
     from sightline.tracking.assignment import assign
 
     rng = np.random.default_rng(0)
-    for _ in range(40):
-        n, m = rng.integers(1, 12, 2)
-        possible = rng.random((n, m)) < 0.3
+    short = 0
+    for _ in range(200):
+        n, m = rng.integers(1, 16, 2)
+        possible = rng.random((n, m)) < rng.uniform(0.05, 0.35)
         cost = rng.random((n, m))
         i, j = np.nonzero(possible)
         rows, columns = assign(i, j, cost[i, j], (n, m))
@@ -300,6 +301,10 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
         taken = possible[best]
         assert rows.size == int(taken.sum())
         assert cost[rows, columns].sum() == pytest.approx(table[best][taken].sum(), abs=1e-9)
+        linked = possible.any(axis=1).sum(), possible.any(axis=0).sum()
+        short += rows.size < min(linked)
+    # Of some that could have a box, none was left.
+    assert short > 10
 
 
 def of_platform(boxes: Boxes, platform: Platform, plane: LocalPlane) -> Positions:
