@@ -115,12 +115,12 @@ def simulated(
         for q, noise in zip(motion.accelerations_m2ps3, noises, strict=True)
     ]
     state = np.array([rng.uniform(-60, 60), rng.uniform(80, 200), *rng.normal(0.0, 2.0, 2)])
-    manner = rng.choice(motion.shares.size, p=motion.shares)
+    mode = rng.choice(motion.shares.size, p=motion.shares)
     out = [state]
     for _ in range(int(seconds / step_s)):
         if rng.random() > np.exp(-step_s / motion.manner_s):
-            manner = rng.choice(motion.shares.size, p=motion.shares)
-        state = moves[manner] @ state + roots[manner] @ rng.standard_normal(4)
+            mode = rng.choice(motion.shares.size, p=motion.shares)
+        state = moves[mode] @ state + roots[mode] @ rng.standard_normal(4)
         out.append(state)
     return np.array(out)
 
@@ -329,7 +329,7 @@ def test_ellipses_from_a_vessel_hold_for_targets_that_go_straight() -> None:
         platform = Platform(Fixes(times, *PLANE.to_geographic(*(way + off).T)))
         pose = platform.pose(times, PLANE, until_then=True)
         seen = target - way + pose.en_m + 0.5 * rng.standard_normal(way.shape)
-        followed = follow(times, positions(seen, 0.5), STEADY, eye_m=pose.en_m)
+        followed = follow(times, positions(seen, 0.5), STEADY, camera_position_m=pose.en_m)
         states = followed.carried(pose.covariance)[40::10]
         mean, covariance = states.ahead(60.0).moments()
         true = target[40::10] + 60.0 * (target[1] - target[0])

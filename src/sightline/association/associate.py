@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.association.evidence import Match, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
-from sightline.association.search import Candidate, Watch, candidates
+from sightline.association.search import Candidate, RecordingObservations, candidates
 from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
@@ -43,7 +43,7 @@ class Found:
     Attributes:
         recording: Name of the recording.
         vessel: Name of the log; an MMSI where it is of an AIS feed.
-        gain: How much the log foretells of what is seen, in nats.
+        log_likelihood_ratio: How much the log foretells of what is seen, in nats.
         rows: (K,) observations of the recording that taught, in the order of time.
         taken: (M,) bool, which boxes of the recording are the vessel's.
         first_utc_s: When it is first seen, by the camera's clock.
@@ -52,7 +52,7 @@ class Found:
 
     recording: str
     vessel: str
-    gain: float
+    log_likelihood_ratio: float
     rows: IntArray
     taken: BoolArray
     first_utc_s: float
@@ -76,7 +76,7 @@ class Association:
         statements: Sentences for people.
     """
 
-    watches: tuple[Watch, ...]
+    watches: tuple[RecordingObservations, ...]
     camera: Camera
     found: tuple[Found, ...]
     offset_s: Mapping[str, float]
@@ -94,7 +94,7 @@ class _Judged:
 
 
 def associate(
-    watches: Sequence[Watch],
+    watches: Sequence[RecordingObservations],
     image_size_px: tuple[int, int],
     *,
     largest_offset_s: float = LARGEST_OFFSET_S,
@@ -156,7 +156,7 @@ def _judge(
     """The explanation that a candidate leads to, with what it explains and what it costs."""
     explanation = refiner.refine(start)
     found = matches(refiner.watches, explanation, image_size_px)
-    evidence = sum(match.gain for match in found)
+    evidence = sum(match.log_likelihood_ratio for match in found)
     evidence -= cost(explanation, largest_offset_s, image_size_px)
     return _also(refiner, _Judged(explanation, found, evidence), image_size_px)
 
@@ -188,7 +188,7 @@ def _also(refiner: Refiner, one: _Judged, image_size_px: tuple[int, int]) -> _Ju
         if any(np.isin(match.rows, other.rows).any() for other in here):
             continue
         kept.append(match)
-        evidence += match.gain - float(np.log(2.0))
+        evidence += match.log_likelihood_ratio - float(np.log(2.0))
         index = match.recording
         standard[index][match.vessel] = wider.standard[index][match.vessel]
     return _Judged(replace(known, standard=tuple(standard)), kept, evidence)
@@ -214,7 +214,7 @@ def _differ(one: _Judged, other: _Judged) -> bool:
 
 
 def _summary(
-    watches: tuple[Watch, ...],
+    watches: tuple[RecordingObservations, ...],
     image_size_px: tuple[int, int],
     best: _Judged,
     runner_up: float,
@@ -240,7 +240,7 @@ def _summary(
             Found(
                 recording=watch.name,
                 vessel=watch.paths[match.vessel].name,
-                gain=match.gain,
+                log_likelihood_ratio=match.log_likelihood_ratio,
                 rows=match.rows,
                 taken=taken,
                 first_utc_s=float(times.min()),
@@ -280,7 +280,11 @@ def _summary(
 
 
 def _taken(
-    watch: Watch, standard: FloatArray, predicted: FloatArray, match: Match, others: IntArray
+    watch: RecordingObservations,
+    standard: FloatArray,
+    predicted: FloatArray,
+    match: Match,
+    others: IntArray,
 ) -> BoolArray:
     """(M,) which boxes are the vessel's: near its place, or of its tracks in gaps of the log."""
     seen = watch.seen

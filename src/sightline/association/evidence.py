@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 
-from sightline.association.observations import Observations
+from sightline.association.observations import TrackObservations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
-from sightline.association.search import Watch, clutter_per_px2
+from sightline.association.search import RecordingObservations, clutter_per_px2
 from sightline.camera.parameters import HEADING
 from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
@@ -28,7 +28,7 @@ from sightline.types import FloatArray, IntArray
 SURE = 0.5
 """An observation is a vessel's where that is likelier than not."""
 
-LEAST_GAIN = 4.0
+LEAST_LOG_LIKELIHOOD_RATIO = 4.0
 """A track is a vessel's where the log foretells so much of it, in nats."""
 
 _LEAST_SHARE = 0.5
@@ -46,16 +46,19 @@ class Match:
         recording: Index of the recording.
         vessel: Index of the log in the recording.
         rows: (K,) its observations, in the order of time.
-        gain: How much the log foretells of it, in nats; the choice of the vessel is paid.
+        log_likelihood_ratio: How much the log foretells of it, in nats; the choice of the vessel is
+            paid.
     """
 
     recording: int
     vessel: int
     rows: IntArray
-    gain: float
+    log_likelihood_ratio: float
 
 
-def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, int]) -> list[Match]:
+def matches(
+    watches: Sequence[RecordingObservations], found: Explanation, size_px: tuple[int, int]
+) -> list[Match]:
     """What an explanation takes for the vessels, the surest first in each recording."""
     out: list[Match] = []
     for index, watch in enumerate(watches):
@@ -68,15 +71,15 @@ def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, in
             rows = _rows(watch.seen, share[vessel], predicted[vessel])
             if rows.size < 3:
                 continue
-            gain = _gain(watch.seen, rows, predicted[vessel], density, found)
-            gain -= float(np.log(len(watch.paths)))
-            if gain > LEAST_GAIN:
-                mine.append(Match(index, vessel, rows, gain))
+            ratio = _log_likelihood_ratio(watch.seen, rows, predicted[vessel], density, found)
+            ratio -= float(np.log(len(watch.paths)))
+            if ratio > LEAST_LOG_LIKELIHOOD_RATIO:
+                mine.append(Match(index, vessel, rows, ratio))
         out.extend(_apart(mine))
     return out
 
 
-def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntArray:
+def _rows(seen: TrackObservations, share: FloatArray, predicted: FloatArray) -> IntArray:
     """The observations of the vessel, in the order of time: of tracks that are mostly its own."""
     mine = share > SURE
     if seen.followed:
@@ -88,8 +91,8 @@ def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntAr
     return np.asarray(rows[np.argsort(seen.time_utc_s[rows], kind="stable")])
 
 
-def _gain(
-    seen: Observations,
+def _log_likelihood_ratio(
+    seen: TrackObservations,
     rows: IntArray,
     predicted: FloatArray,
     density: FloatArray,
@@ -109,7 +112,7 @@ def _gain(
             typical = float(np.median(density[part]))
             total -= float(np.log(2.0 * np.pi * typical * (np.abs(rest[0]) + noise).prod()))
         else:
-            # What went out of sight comes back where it went: little to foretell.
+            # What went out of sight comes back where it went: little to predict.
             total += float(
                 np.log((np.abs(whole[0] - last) + noise) / (np.abs(rest[0]) + noise)).sum()
             )
@@ -117,7 +120,7 @@ def _gain(
     return total
 
 
-def goes_along(seen: Observations, rows: IntArray, predicted: FloatArray) -> bool:
+def goes_along(seen: TrackObservations, rows: IntArray, predicted: FloatArray) -> bool:
     """Whether a track moves as a log foretells, rather than standing where it passes."""
     rows = rows[np.argsort(seen.time_utc_s[rows], kind="stable")]
     whole = _coefficients(seen.time_utc_s[rows], seen.foot_px[rows])[1:]
@@ -139,7 +142,7 @@ def _coefficients(time_s: FloatArray, path_px: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(basis.T @ basis + rough, basis.T @ path_px))
 
 
-def _density(seen: Observations, size_px: tuple[int, int]) -> FloatArray:
+def _density(seen: TrackObservations, size_px: tuple[int, int]) -> FloatArray:
     """(N,) how likely a box lies where each does, a square pixel."""
     clutter = clutter_per_px2(seen, size_px)
     moments = max(1.0, np.ptp(seen.time_utc_s) / seen.interval_s)
@@ -149,7 +152,7 @@ def _density(seen: Observations, size_px: tuple[int, int]) -> FloatArray:
 def _apart(found: list[Match]) -> list[Match]:
     """Matches of which no two have much in common; the surer one stays."""
     kept: list[Match] = []
-    for match in sorted(found, key=lambda one: -one.gain):
+    for match in sorted(found, key=lambda one: -one.log_likelihood_ratio):
         if all(np.isin(match.rows, other.rows).mean() < 0.2 for other in kept):
             kept.append(match)
     return kept

@@ -19,7 +19,7 @@ _FOLLOWABLE_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class TrackObservations:
     """Feet of boxes, one row a track and half second.
 
     Attributes:
@@ -48,7 +48,7 @@ class Observations:
         return int(self.time_utc_s.size)
 
 
-def observe(boxes: Boxes) -> Observations:
+def observe(boxes: Boxes) -> TrackObservations:
     """Thin the boxes of a recording.
 
     Boxes without track ids are followed in the image where they come often enough; where they do
@@ -87,7 +87,7 @@ def observe(boxes: Boxes) -> Observations:
         )
         box[i] = rows[np.argmin(off)]
         time_s[i] = np.mean(boxes.time_utc_s[rows])
-    return Observations(
+    return TrackObservations(
         time_utc_s=time_s,
         foot_px=middle,
         size_px=extent,

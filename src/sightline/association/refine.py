@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.association.search import Candidate, Watch, clutter_per_px2, offset_step_s
+from sightline.association.search import (
+    Candidate,
+    RecordingObservations,
+    clutter_per_px2,
+    offset_step_s,
+)
 from sightline.camera.parameters import (
     CAMERA,
     EAST,
@@ -46,7 +51,7 @@ _ROUNDS = 10
 _MARGIN = 0.25
 _LARGEST_PX = 60.0
 # Boxes of one track are alike in error for about this long.
-ALIKE_S = 2.0
+CORRELATION_TIME_S = 2.0
 
 _LONGEST_STEP = camera_vector(
     {
@@ -123,7 +128,7 @@ class Refiner:
 
     def __init__(
         self,
-        watches: Sequence[Watch],
+        watches: Sequence[RecordingObservations],
         image_size_px: tuple[int, int],
         *,
         largest_offset_s: float,
@@ -224,8 +229,8 @@ class Refiner:
         information = np.diag(self._precision)
         for index, watch in enumerate(self.watches):
             found = self._predict(state, index, noise)
-            share, standard, gain = self._shares(found, index, 1.0)
-            score += gain
+            share, standard, ratio = self._shares(found, index, 1.0)
+            score += ratio
             size = (len(watch.paths), len(watch.seen))
             full, apart = np.zeros(size), np.full(size, np.inf)
             pixel = np.full((*size, 2), np.nan)
@@ -327,9 +332,9 @@ class Refiner:
         total = np.bincount(found.row, ratio, minlength=len(seen))
         share = ratio / (1.0 + total[found.row])
         # Whatever is seen at a moment, a vessel is one of it.
-        weight = min(seen.interval_s / ALIKE_S, 1.0)
-        gain = weight * float(np.sum(np.log1p(total)))
-        return share, np.sqrt(square), gain
+        weight = min(seen.interval_s / CORRELATION_TIME_S, 1.0)
+        ratio = weight * float(np.sum(np.log1p(total)))
+        return share, np.sqrt(square), ratio
 
     def _normal(
         self, found: _Predicted, index: int, share: FloatArray, widen: float = 1.0
@@ -344,7 +349,7 @@ class Refiner:
         jacobian[:, :, _clock(index)] = found.by_offset[rows]
         jacobian /= sigma[rows][:, :, None]
         residual = (seen.foot_px[found.row[rows]] - found.pixel_px[rows]) / sigma[rows]
-        weight = share[rows] * min(seen.interval_s / ALIKE_S, 1.0)
+        weight = share[rows] * min(seen.interval_s / CORRELATION_TIME_S, 1.0)
         flat = (jacobian * weight[:, None, None]).reshape(-1, size)
         return flat.T @ jacobian.reshape(-1, size), flat.T @ residual.reshape(-1)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sightline.association.observations import Observations
+from sightline.association.observations import TrackObservations
 from sightline.camera.parameters import (
     HEADING,
     K1,
@@ -26,7 +26,7 @@ from sightline.camera.parameters import (
     camera_vector,
 )
 from sightline.camera.priors import CameraPrior
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import FloatArray, IntArray
 
 HEADING_STEP_DEG = 2.0
@@ -50,7 +50,7 @@ _APART_DEG = (8.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
+class RecordingObservations:
     """A recording: what is seen in it, and the logs of whatever may be in view.
 
     Attributes:
@@ -62,8 +62,8 @@ class Watch:
     """
 
     name: str
-    seen: Observations
-    paths: tuple[LoggedPath, ...]
+    seen: TrackObservations
+    paths: tuple[ReferenceTrajectory, ...]
     above_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ class Candidate:
     votes: float
 
 
-def clutter_per_px2(seen: Observations, image_size_px: tuple[int, int]) -> FloatArray:
+def clutter_per_px2(seen: TrackObservations, image_size_px: tuple[int, int]) -> FloatArray:
     """(N,) how dense boxes lie where each observation lies, boxes a square pixel and moment.
 
     Over the whole recording, so that what stands still counts as clutter that was to be expected.
@@ -105,14 +105,14 @@ def clutter_per_px2(seen: Observations, image_size_px: tuple[int, int]) -> Float
     return np.asarray((smooth[at[:, 0], at[:, 1]] + 0.2 * uniform) / moments)
 
 
-def offset_step_s(watches: Sequence[Watch]) -> float:
+def offset_step_s(watches: Sequence[RecordingObservations]) -> float:
     """How finely clocks are tried: more coarsely with a whole feed, whose many vessels vote."""
     few = max(len(watch.paths) for watch in watches) < 8
     return OFFSET_STEP_S if few else 2.0 * OFFSET_STEP_S
 
 
 def candidates(
-    watches: Sequence[Watch],
+    watches: Sequence[RecordingObservations],
     image_size_px: tuple[int, int],
     *,
     largest_offset_s: float,
@@ -150,9 +150,9 @@ def candidates(
             total[lens, height][more] = smooth[more]
             which[lens, height][more] = number
     prior = CameraPrior()
-    heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.height_log_sigma) ** 2
+    heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.log_height_sigma) ** 2
     focal = np.array([focal for focal, _ in lenses]) / (prior.focal_widths * image_size_px[0])
-    longs = -0.5 * (np.log(focal) / prior.focal_log_sigma) ** 2
+    longs = -0.5 * (np.log(focal) / prior.log_focal_sigma) ** 2
     total += (longs[:, None, None, None] + heights[None, :, None, None]).astype(np.float32)
     out: list[Candidate] = []
     # Each lens and height has its own peaks; the best are looked at in turn.
@@ -238,7 +238,7 @@ class _Pieces:
     spread_deg: FloatArray
 
 
-def _pieces(seen: Observations, image_size_px: tuple[int, int]) -> _Pieces:
+def _pieces(seen: TrackObservations, image_size_px: tuple[int, int]) -> _Pieces:
     if not seen.followed:
         # What lies where something always lies tells nothing.
         weight = np.log1p(0.5 / (2.0 * np.pi * 150.0) / clutter_per_px2(seen, image_size_px))
@@ -307,7 +307,9 @@ class _Pairs:
         return mean, np.sqrt(square)
 
 
-def _alike(pieces: _Pieces, paths: Sequence[LoggedPath], offset_s: float, width_px: int) -> _Pairs:
+def _alike(
+    pieces: _Pieces, paths: Sequence[ReferenceTrajectory], offset_s: float, width_px: int
+) -> _Pairs:
     """The pairs in which columns go with bearings as they do before some camera."""
     count = np.diff(np.append(pieces.start, pieces.time_utc_s.size))
     rows, bearings, distances, sizes, weights, spreads = [], [], [], [], [], []

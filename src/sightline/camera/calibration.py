@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares, minimize
 
 from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
-from sightline.camera.observations import NO_SOURCE, Sightings, _check_enough
+from sightline.camera.observations import NO_SOURCE, PointCorrespondences, _check_enough
 from sightline.camera.parameters import (
     BIAS_M,
     BIAS_PX,
@@ -44,7 +44,7 @@ from sightline.camera.priors import (
     ANY_ASPECT,
     CameraPrior,
     PixelNoise,
-    SourceBelief,
+    SourcePrior,
 )
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -162,12 +162,12 @@ class CameraFit:
 
 
 def fit_camera(
-    sightings: Sightings,
+    sightings: PointCorrespondences,
     image_size_px: tuple[int, int],
     *,
     n_sources: int,
     prior: CameraPrior | None = None,
-    beliefs: Mapping[int, SourceBelief] | None = None,
+    beliefs: Mapping[int, SourcePrior] | None = None,
     noise: PixelNoise | None = None,
     position_known: bool = True,
     heaving: bool = False,
@@ -249,13 +249,13 @@ class _Refined:
 
     Attributes:
         vector: Parameters, with how far the middle of a box lies ahead of the receiver.
-        drift_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
+        correlated_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
         weight: (N, 2) how much each column and row counts, 0 to 1.
         standard: (N, 2) residuals without what lasts, over their standard deviations.
     """
 
     vector: FloatArray
-    drift_m: FloatArray
+    correlated_m: FloatArray
     weight: FloatArray
     standard: FloatArray
 
@@ -264,17 +264,17 @@ class _Problem:
     """Residuals and derivatives of one fit.
 
     Vectors are those of `CameraFit`, or these followed by what is known of the places: how far
-    the middle of a box lies ahead of the receiver, and the values of the logs' drift.
+    the middle of a box lies ahead of the receiver, and the values of the logs' correlated error.
     """
 
     def __init__(
         self,
-        sightings: Sightings,
+        sightings: PointCorrespondences,
         image_size_px: tuple[int, int],
         n_sources: int,
         prior: CameraPrior,
         position_known: bool,
-        beliefs: Mapping[int, SourceBelief] | None,
+        beliefs: Mapping[int, SourcePrior] | None,
         heaving: bool = False,
     ) -> None:
         self.sightings = sightings
@@ -361,9 +361,9 @@ class _Problem:
         if rows.size < 3:
             return
         aspect = self.aspect(vector)[rows]
-        apparent = self.apparent(vector)[rows]
+        pixels_per_metre = self.pixels_per_metre(vector)[rows]
         seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
-        half = float(np.median(s.width_px[rows] / apparent / seen))
+        half = float(np.median(s.width_px[rows] / pixels_per_metre / seen))
         self.mean[TARGET] = half, _BEAM_SHARE * half
         self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
 
@@ -429,7 +429,7 @@ class _Problem:
             place += vector[self.layout.middle] * self.bow.T
         return place[0], place[1]
 
-    def apparent(self, vector: FloatArray) -> FloatArray:
+    def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
         """(N,) how large a metre at the box looks, pixels; zero for control points."""
         s = self.sightings
         slant = np.hypot(
@@ -444,7 +444,7 @@ class _Problem:
         A control point has the pixel part of a box's noise.
         """
         own = replace(noise, heave_m=0.0) if self.heaving else noise
-        return np.stack(own.variances_px2(self.apparent(vector) ** 2), axis=1)
+        return np.stack(own.variances_px2(self.pixels_per_metre(vector) ** 2), axis=1)
 
     def place_sigma(self, noise: PixelNoise) -> FloatArray:
         """(N,) standard deviations of the places, metres; a control point has its own."""
@@ -466,10 +466,10 @@ class _Problem:
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
     def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
-        """The nearest maximum of the posterior by the whole noise, the lasting error of logs too.
+        """The nearest maximum of the posterior by all noise, that of logs included.
 
-        Gauss-Newton steps on whitened residuals. The lasting error, like that of single places, is
-        not left in the residual: derivatives are those at the likeliest places, since a fit that
+        Gauss-Newton steps on whitened residuals. The correlated error, like that of single places,
+        is not left in the residual: derivatives are those at the likeliest places, since a fit that
         charged all of it to the pixels would find a camera in which metres look too small (errors
         in variables). Boxes that are off by much count less (Huber).
 
@@ -497,8 +497,8 @@ class _Problem:
                 self.blocks,
                 variance / weight,
                 by_place,
-                noise.drift_m,
-                noise.drift_s,
+                noise.correlated_m,
+                noise.correlation_time_s,
                 by_point[:, :, 2],
                 noise.heave_m,
             )
@@ -512,7 +512,7 @@ class _Problem:
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
             left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
             pull = whitening.backward(left)[:, :, 0]
-            drift = whitening.drift(pull)
+            drift = whitening.correlated_error(pull)
             shift = drift + latent * np.einsum("nij,ni->nj", by_place, pull)
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
@@ -594,8 +594,8 @@ class _Problem:
         log that is off by very much would seem to explain how the boxes differ.
         """
         aspect = self.aspect(found.vector)
-        pixel, jacobian, by_point = self.project(found.vector, aspect, found.drift_m)
-        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.drift_m)
+        pixel, jacobian, by_point = self.project(found.vector, aspect, found.correlated_m)
+        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.correlated_m)
         return self.sightings.pixel_px - pixel + put_back, jacobian, by_point
 
     def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
@@ -614,7 +614,7 @@ class _Problem:
         # Variances are these times the squares of the first four of `PixelNoise`.
         parts = np.zeros((4, n, 2))
         parts[0, :, 1] = 1.0
-        parts[1, :, 1] = self.apparent(found.vector) ** 2
+        parts[1, :, 1] = self.pixels_per_metre(found.vector) ** 2
         parts[2, :, 0] = 1.0
         parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
         count = 7 if self.heaving else 6 if self.blocks else 4
@@ -622,11 +622,17 @@ class _Problem:
         columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
-            drift_m, drift_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
+            correlated_m, correlation_time_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
             heave_m = float(np.exp(t[6])) if count > 6 else 0.0
             variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
             whitening = Whitening(
-                self.blocks, variance, by_place, drift_m, drift_s, by_point[:, :, 2], heave_m
+                self.blocks,
+                variance,
+                by_place,
+                correlated_m,
+                correlation_time_s,
+                by_point[:, :, 2],
+                heave_m,
             )
             both = whitening.forward(columns)
             flat = both.reshape(-1, size + 1)
@@ -639,13 +645,16 @@ class _Problem:
             value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
             solved = whitening.backward(both)
             covariance = cho_solve(factor, np.eye(size), check_finite=False)
-            by_variance, *by_lasting = whitening.slopes(
-                solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance, drift_s
+            by_variance, *by_correlated = whitening.gradient(
+                solved[:, :, -1] - solved[:, :, :-1] @ step,
+                solved[:, :, :-1],
+                covariance,
+                correlation_time_s,
             )
             by_part = np.tensordot(parts, by_variance / found.weight, 2)
-            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_lasting])[:count]
+            gradient = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_correlated])[:count]
             belief = (t - centre) / width
-            return value + 0.5 * float(belief @ belief), slopes + belief / width
+            return value + 0.5 * float(belief @ belief), gradient + belief / width
 
         at = np.log([getattr(before, column.name) for column in fields(before)][:count])
         best = minimize(
@@ -658,7 +667,7 @@ class _Problem:
         )
         estimated = PixelNoise(*np.exp(best.x).tolist())
         # Where no two fixes are near in time nobody can tell what lasts.
-        return estimated if self.blocks else replace(estimated, drift_m=0.0)
+        return estimated if self.blocks else replace(estimated, correlated_m=0.0)
 
     def summarise(
         self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
@@ -675,8 +684,8 @@ class _Problem:
             self.blocks,
             variance * crowding / found.weight,
             by_place,
-            noise.drift_m,
-            noise.drift_s,
+            noise.correlated_m,
+            noise.correlation_time_s,
             by_point[:, :, 2],
             noise.heave_m,
         )
@@ -718,7 +727,9 @@ class _Problem:
         """A fit to some sightings as one to all: the others are compared with it."""
         pixel, _, by_point = self.project(fit.vector, self.aspect(fit.vector))
         per_metre = np.sum(by_point[:, :, :2] ** 2, axis=2)
-        sigma = np.hypot(self.sigmas(fit.vector, fit.noise), fit.noise.drift_m * np.sqrt(per_metre))
+        sigma = np.hypot(
+            self.sigmas(fit.vector, fit.noise), fit.noise.correlated_m * np.sqrt(per_metre)
+        )
         residual = self.sightings.pixel_px - pixel
         standard = residual / sigma
         residual[chosen] = fit.residual_px

@@ -23,7 +23,7 @@ from sightline.camera.registration import (
     HALF_HEIGHT_PX,
     HALF_STORED_PX,
     NOWHERE,
-    View,
+    ReferenceView,
     agree,
     coarse_shift,
     consensus,
@@ -68,22 +68,22 @@ class CameraTurn:
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
+class StaticInterval:
     """A time in which the camera stood still, and what it saw.
 
     Attributes:
         before_utc_s: Time of the last picture looked at in which it did not stand so yet; minus
-            infinity for the first stance.
+            infinity for the first static interval.
         since_utc_s: Time of the first picture in which it did; minus infinity for the first.
         view: What it saw.
     """
 
     before_utc_s: float
     since_utc_s: float
-    view: View
+    view: ReferenceView
 
 
-class CameraMotionWatch:
+class CameraMotionDetector:
     """Watches the pictures of a camera that ought to stand still.
 
     The reference is made from the first pictures, and after a turn anew from those that show it.
@@ -93,7 +93,7 @@ class CameraMotionWatch:
             the image to the right one; None: the edge of the water is looked for in the first
             pictures, and nothing is watched where there is none.
         focal_px: Focal length.
-        least_deg: Turns that are smaller are not reported.
+        least_deg: Rotations that are smaller are not reported.
         lasts_s: A turn counts once it has lasted so long: a gust is none.
         reference_frames: How many pictures make a reference.
         like: A view whose strips are to be looked at, instead of ``horizon_px``.
@@ -107,7 +107,7 @@ class CameraMotionWatch:
         least_deg: float = 0.2,
         lasts_s: float = 3.0,
         reference_frames: int = 15,
-        like: View | None = None,
+        like: ReferenceView | None = None,
     ) -> None:
         if not (focal_px > 0.0 and least_deg > 0.0 and lasts_s >= 0.0 and reference_frames >= 1):
             raise InputError(
@@ -144,10 +144,10 @@ class CameraMotionWatch:
         self._recent: deque[tuple[float, FloatArray, NDArray[np.uint8]]] = deque()
         self._before_s, self._settled_s = -np.inf, -np.inf
         self._since, self._landmarks = (-np.inf, -np.inf), True
-        self._past: list[Stance] = []
+        self._past: list[StaticInterval] = []
 
     @property
-    def stances(self) -> tuple[Stance, ...]:
+    def static_intervals(self) -> tuple[StaticInterval, ...]:
         """How the camera stood so far, in the order of time; none before the first reference."""
         if self._reference is None:
             return ()
@@ -243,7 +243,7 @@ class CameraMotionWatch:
         return again if agree(again[None, :, :2], *consensus(again[:, :2])) else moved
 
     def _learn(self, look: tuple[float, FloatArray, NDArray[np.uint8]]) -> None:
-        """Make the reference of a stance that has just begun better by one more picture."""
+        """Better the reference of a static interval that has just begun by one more picture."""
         _, moved, strips = look
         if (
             len(self._sample) >= self._count
@@ -291,8 +291,10 @@ class CameraMotionWatch:
             since_utc_s=since_s,
         )
 
-    def _stance(self, reference: NDArray[np.uint8]) -> Stance:
-        return Stance(*self._since, View(reference, self._top, self._left, self._landmarks))
+    def _stance(self, reference: NDArray[np.uint8]) -> StaticInterval:
+        return StaticInterval(
+            *self._since, ReferenceView(reference, self._top, self._left, self._landmarks)
+        )
 
     def _strips(self, image_bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
         parts = [

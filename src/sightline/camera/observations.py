@@ -38,11 +38,11 @@ class Landmarks:
 NO_SOURCE = -1
 
 
-"""The source of a control point, whose pixel has no habit."""
+"""The source of a control point, whose pixel has no bias."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class PointCorrespondences:
     """Pixels whose place on the earth is known: feet of boxes, and control points.
 
     Attributes:
@@ -88,11 +88,11 @@ class Sightings:
     def __len__(self) -> int:
         return int(self.east_m.size)
 
-    def __getitem__(self, rows: IntArray) -> Sightings:
-        return Sightings(*(getattr(self, column.name)[rows] for column in fields(self)))
+    def __getitem__(self, rows: IntArray) -> PointCorrespondences:
+        return PointCorrespondences(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
-def _check_enough(sightings: Sightings) -> None:
+def _check_enough(sightings: PointCorrespondences) -> None:
     if len(sightings) < 3:
         raise FitError(
             f"{len(sightings)} pairs of a box and a fix; a camera needs at least 3, better 30 "

@@ -40,12 +40,12 @@ class CameraPrior:
     """What is believed of a camera before any data, as means and standard deviations.
 
     Attributes:
-        height_m: Median; ``height_log_sigma`` is the standard deviation of its logarithm.
-        height_log_sigma: See ``height_m``.
+        height_m: Median; ``log_height_sigma`` is the standard deviation of its logarithm.
+        log_height_sigma: See ``height_m``.
         pitch_deg: Mean and standard deviation.
         roll_deg: Mean and standard deviation.
         focal_widths: Median focal length in image widths.
-        focal_log_sigma: Standard deviation of the logarithm of the focal length.
+        log_focal_sigma: Standard deviation of the logarithm of the focal length.
         k1_sigma: About zero.
         k2_sigma: About zero.
         half_length_m: Mean and standard deviation; of the target.
@@ -62,11 +62,11 @@ class CameraPrior:
     """
 
     height_m: float = 5.0
-    height_log_sigma: float = 0.7
+    log_height_sigma: float = 0.7
     pitch_deg: tuple[float, float] = (5.0, 15.0)
     roll_deg: tuple[float, float] = (0.0, 3.0)
     focal_widths: float = 0.8
-    focal_log_sigma: float = 0.3
+    log_focal_sigma: float = 0.3
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
     half_length_m: tuple[float, float] = (0.0, 2.0)
@@ -104,11 +104,11 @@ class CameraPrior:
         )
         sigma[CAMERA] = camera_vector(
             {
-                LOG_HEIGHT: self.height_log_sigma,
+                LOG_HEIGHT: self.log_height_sigma,
                 PITCH: np.radians(self.pitch_deg[1]),
                 ROLL: np.radians(self.roll_deg[1]),
                 HEADING: np.inf,
-                LOG_FOCAL: self.focal_log_sigma,
+                LOG_FOCAL: self.log_focal_sigma,
                 K1: self.k1_sigma,
                 K2: self.k2_sigma,
             }
@@ -124,7 +124,7 @@ class CameraPrior:
 
 
 @dataclass(frozen=True)
-class SourceBelief:
+class SourcePrior:
     """What is believed of one source of boxes before any data, instead of what a prior says of all.
 
     Attributes:
@@ -147,8 +147,8 @@ class PixelNoise:
         place_m: Of the place itself, metres east and metres north, anew for each box: how far the
             log is off, and the middle of the box off the middle of the hull. The two cannot be
             told apart.
-        drift_m: Of the part of the log's error that lasts, metres east and metres north.
-        drift_s: How long it lasts: it decays as ``exp(-Δt / drift_s)``.
+        correlated_m: Of the part of the log's error that lasts, metres east and metres north.
+        correlation_time_s: How long it lasts: it decays as ``exp(-Δt / correlation_time_s)``.
         heave_m: Of the camera's height, which moves all rows together for about a second: of a
             camera on a vessel.
         middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
@@ -159,8 +159,8 @@ class PixelNoise:
     row_m: float = 0.2
     column_px: float = 3.0
     place_m: float = 1.0
-    drift_m: float = 1.0
-    drift_s: float = 20.0
+    correlated_m: float = 1.0
+    correlation_time_s: float = 20.0
     heave_m: float = 0.0
     middle_m: float = 0.0
 
@@ -183,8 +183,8 @@ class PixelNoise:
             self.row_m * factor,
             self.column_px * factor,
             self.place_m * factor,
-            self.drift_m * factor,
-            self.drift_s,
+            self.correlated_m * factor,
+            self.correlation_time_s,
             self.heave_m * factor,
             self.middle_m,
         )

@@ -46,7 +46,7 @@ NOWHERE = np.zeros(2, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class ReferenceView:
     """What stands still before a camera, in strips along the horizon.
 
     Attributes:
@@ -91,7 +91,7 @@ class Displacement:
     landmarks: bool
 
 
-def displacement(reference: View, other: View) -> Displacement | None:
+def displacement(reference: ReferenceView, other: ReferenceView) -> Displacement | None:
     """How the camera of one view lies against that of another; None where that cannot be told.
 
     Args:

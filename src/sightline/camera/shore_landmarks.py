@@ -3,7 +3,7 @@
 The far shore lies beyond the furthest place on the water that a log of the scene visited in that
 direction, and no further than the earth's curve lets one see. So it appears below the horizon by
 less than a place there would, and the pitch and the roll of the camera follow within a fraction of
-a pixel to a few. Boxes alone cannot tell them from the habit of a detector whose boxes end high.
+a pixel to a few. Boxes alone cannot tell them from the bias of a detector whose boxes end high.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The horizon says how the camera lay in each frame. The two points where it leaves the image span,
 with the lens, a plane whose normal points up; the least rotation that brings this direction to
 where it is in the reference also brings every ray to where it would have been. So a box is moved
-as its foot is. Turns about the vertical do not show in the horizon: those are the heading's.
+as its foot is. Rotations about the vertical do not show in the horizon: those are the heading's.
 """
 
 from __future__ import annotations

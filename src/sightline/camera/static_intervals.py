@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.camera.motion import CameraMotionWatch, Stance
+from sightline.camera.motion import CameraMotionDetector, StaticInterval
 from sightline.types import Frame
 
 LOOKS_APART_S = 1.0
@@ -24,7 +24,7 @@ def least_turn_deg(focal_px: float) -> float:
     return max(LEAST_DEG, float(np.degrees(LEAST_PX / focal_px)))
 
 
-class StanceWatch:
+class StaticIntervalMonitor:
     """Is shown the pictures of a recording, and looks at one in a second of them.
 
     Where the horizon lies it sees for itself, and an ordinary lens is assumed: neither a model nor
@@ -33,23 +33,23 @@ class StanceWatch:
 
     def __init__(self) -> None:
         """Begin without a picture."""
-        self._watch: CameraMotionWatch | None = None
+        self._watch: CameraMotionDetector | None = None
         self._size: tuple[int, ...] | None = None
         self._next_s = -np.inf
 
     @property
-    def stances(self) -> tuple[Stance, ...]:
+    def static_intervals(self) -> tuple[StaticInterval, ...]:
         """How the camera stood; none where there is no edge of the water, or too few pictures."""
-        return () if self._watch is None else self._watch.stances
+        return () if self._watch is None else self._watch.static_intervals
 
     def observe(self, frame: Frame) -> None:
         """Look at the next picture; those of another size than the first are left out."""
         size = frame.image_bgr.shape[1::-1]
         if self._size is None:
             self._size = size
-            if CameraMotionWatch.fits((size[0], size[1])):
+            if CameraMotionDetector.fits((size[0], size[1])):
                 focal_px = _NOMINAL_FOCAL_WIDTHS * size[0]
-                self._watch = CameraMotionWatch(
+                self._watch = CameraMotionDetector(
                     None,
                     focal_px,
                     least_deg=least_turn_deg(focal_px),

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sightline.detection.tiling import ViewSettings
+from sightline.detection.tiling import TilingSettings
 from sightline.errors import InputError
 from sightline.types import FloatArray
 
@@ -107,7 +107,7 @@ class DetectorMetadata(_Table):
     anchors: tuple[tuple[tuple[float, float], ...], ...] | None = None
     scale_xy: tuple[float, ...] | None = None
     score_threshold: Share | None = None
-    views: ViewSettings | None = None
+    views: TilingSettings | None = None
     lower_edge: LowerEdge | None = None
 
     @model_validator(mode="after")

@@ -18,7 +18,7 @@ from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.letterbox import Letterbox
 from sightline.detection.metadata import InputFormat, LowerEdge, read_metadata, ultralytics_names
-from sightline.detection.tiling import Horizon, View, ViewSettings, merge, place, plan_views
+from sightline.detection.tiling import Horizon, Tile, TilingSettings, merge, place, plan_tiles
 from sightline.errors import InputError, unknown_name
 from sightline.types import Boxes, FloatArray, Frame, IntArray
 
@@ -62,7 +62,7 @@ class DetectorOptions:
     classes: tuple[str, ...] | None = None
     threshold: float | None = None
     overlap: float = 0.45
-    views: ViewSettings | None = None
+    views: TilingSettings | None = None
     threads: int | None = None
 
     def __post_init__(self) -> None:
@@ -81,8 +81,8 @@ class DetectorOptions:
 class OnnxDetector:
     """A detector in an ONNX file, run by ONNX Runtime.
 
-    Every frame is looked at in several views (see `ViewSettings`), each scaled to what the network
-    takes. Boxes that views have in common are merged by non-maximum suppression.
+    Every frame is looked at in several views (see `TilingSettings`), each scaled to what the
+    network takes. Boxes that views have in common are merged by non-maximum suppression.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class OnnxDetector:
             if value is not None
         )
         settings = self._options.views or (metadata.views if metadata else None)
-        self._view_settings = settings or ViewSettings()
+        self._view_settings = settings or TilingSettings()
         self.lower_edge: LowerEdge | None = metadata.lower_edge if metadata else None
         self._given_horizon_px = horizon_px
         self.reset()
@@ -167,7 +167,7 @@ class OnnxDetector:
         """Forget where the horizon was found; see `Detector`."""
         self._finder = HorizonFinder()
         self._planned: tuple[tuple[int, int], Horizon | None] | None = None
-        self._views: tuple[View, ...] = ()
+        self._views: tuple[Tile, ...] = ()
         self._boxes_of: tuple[Letterbox, ...] = ()
 
     def detect(self, frame: Frame) -> Boxes:
@@ -182,7 +182,7 @@ class OnnxDetector:
         """
         jobs: list[tuple[int, int, Letterbox, NDArray[np.uint8]]] = []
         sizes: list[tuple[int, int]] = []
-        plans: list[tuple[View, ...]] = []
+        plans: list[tuple[Tile, ...]] = []
         for number, frame in enumerate(frames):
             self._plan(frame)
             height, width = frame.image_bgr.shape[:2]
@@ -203,7 +203,7 @@ class OnnxDetector:
             for number, frame in enumerate(frames)
         ]
 
-    def views(self, frame: Frame) -> tuple[View, ...]:
+    def views(self, frame: Frame) -> tuple[Tile, ...]:
         """What of a frame is looked at."""
         self._plan(frame)
         return self._views
@@ -217,7 +217,7 @@ class OnnxDetector:
         if self._planned == ((width, height), horizon):
             return
         form = self._network.form
-        self._views = plan_views(
+        self._views = plan_tiles(
             (width, height),
             self._view_settings,
             horizon_px=horizon,
@@ -268,7 +268,7 @@ class OnnxDetector:
         self,
         frame: Frame,
         frame_px: tuple[int, int],
-        views: tuple[View, ...],
+        views: tuple[Tile, ...],
         parts: Iterable[tuple[FloatArray, FloatArray, IntArray, int]],
     ) -> Boxes:
         parts = list(parts)

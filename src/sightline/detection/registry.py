@@ -60,9 +60,10 @@ def detector_by_name(
     if name == "harbour":
         return _harbour(horizon_px, options)
     if options is not None and options != DetectorOptions():
+        what = "finds what moves and runs no network" if name == "motion" else "runs no ONNX file"
         raise InputError(
-            f"the detector {name!r} runs no ONNX file, so it has no decoder, classes, threshold, "
-            "provider or views; leave them out, or give an ONNX file"
+            f"the detector {name!r} {what}, so it has no decoder, classes, threshold, provider or "
+            "views; leave them out, or give an ONNX file"
         )
     if name == "motion":
         return MotionDetector(horizon_px=horizon_px)

@@ -30,7 +30,7 @@ _OVERLAP = 0.3
 
 
 @dataclass(frozen=True)
-class View:
+class Tile:
     """A part of a frame, and the scale at which it is looked at.
 
     Attributes:
@@ -54,7 +54,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class ViewSettings:
+class TilingSettings:
     """How the views of a frame are chosen.
 
     Lengths are pixels of a frame of ``frame_width_px``; larger frames are looked at as if they
@@ -91,14 +91,14 @@ class ViewSettings:
             )
 
 
-def plan_views(
+def plan_tiles(
     frame_px: tuple[int, int],
-    settings: ViewSettings,
+    settings: TilingSettings,
     *,
     horizon_px: Horizon | None = None,
     input_px: tuple[int, int] | None = None,
     stride_px: int = 32,
-) -> tuple[View, ...]:
+) -> tuple[Tile, ...]:
     """The views of a frame.
 
     Args:
@@ -119,24 +119,24 @@ def plan_views(
         tiles = tuple(_tiles((0, top, width, bottom), frame_px, input_px, scale, settings.overlap))
         whole = _whole(frame_px, settings, input_px)
         return tiles if whole in tiles else (*tiles, whole)
-    strip = View(0, top, width, bottom - top, scale)
+    strip = Tile(0, top, width, bottom - top, scale)
     if bottom == height or settings.near_scale == 0.0:
         return (strip,)
-    return strip, View(0, top, width, height - top, scale * settings.near_scale)
+    return strip, Tile(0, top, width, height - top, scale * settings.near_scale)
 
 
 def _whole(
-    frame_px: tuple[int, int], settings: ViewSettings, input_px: tuple[int, int] | None
-) -> View:
+    frame_px: tuple[int, int], settings: TilingSettings, input_px: tuple[int, int] | None
+) -> Tile:
     if input_px is not None:
         scale = min(input_px[0] / frame_px[0], input_px[1] / frame_px[1])
     else:
         scale = min(1.0, settings.whole_px / max(frame_px))
-    return View(0, 0, *frame_px, scale)
+    return Tile(0, 0, *frame_px, scale)
 
 
 def _strip(
-    height: int, settings: ViewSettings, horizon_px: Horizon, scale: float, stride_px: int
+    height: int, settings: TilingSettings, horizon_px: Horizon, scale: float, stride_px: int
 ) -> tuple[int, int]:
     """First and last row of the strip, so that a network's stride wastes no row."""
     top = math.floor(min(horizon_px) - settings.above_px / scale)
@@ -153,13 +153,13 @@ def _tiles(
     input_px: tuple[int, int],
     scale: float,
     overlap: float,
-) -> Iterator[View]:
+) -> Iterator[Tile]:
     """Tiles of the network's size that cover an area, x1, y1, x2, y2, and may reach beyond it."""
     columns = _places(area[0], area[2], frame_px[0], input_px[0] / scale, overlap)
     rows = list(_places(area[1], area[3], frame_px[1], input_px[1] / scale, overlap))
     for x, width in columns:
         for y, height in rows:
-            yield View(x, y, width, height, scale)
+            yield Tile(x, y, width, height, scale)
 
 
 def _places(
@@ -177,7 +177,7 @@ def _places(
         yield round(float(begin)), length
 
 
-def place(view: View, input_px: tuple[int, int] | None, stride_px: int, centred: bool) -> Letterbox:
+def place(view: Tile, input_px: tuple[int, int] | None, stride_px: int, centred: bool) -> Letterbox:
     """How a view lies on the canvas of a network."""
     return Letterbox.fit(
         (view.width, view.height),
@@ -189,7 +189,7 @@ def place(view: View, input_px: tuple[int, int] | None, stride_px: int, centred:
 
 
 def merge(
-    views: Sequence[View],
+    views: Sequence[Tile],
     frame_px: tuple[int, int],
     xyxy_px: FloatArray,
     score: FloatArray,
@@ -240,7 +240,7 @@ def _shared(box: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def _cut(
-    views: Sequence[View], frame_px: tuple[int, int], xyxy_px: FloatArray, view: IntArray
+    views: Sequence[Tile], frame_px: tuple[int, int], xyxy_px: FloatArray, view: IntArray
 ) -> BoolArray:
     """(N,) whether a box ends at an edge of its view that is none of the frame."""
     edges = np.array([(v.x, v.y, v.x + v.width, v.y + v.height) for v in views], dtype=np.float64)

@@ -26,7 +26,7 @@ from sightline.camera.priors import (
     ANY_ASPECT,
     CameraPrior,
     PixelNoise,
-    SourceBelief,
+    SourcePrior,
 )
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
@@ -59,7 +59,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         image_size_px: Width and height.
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
         prior: Beliefs about the camera; None: those of an ordinary one.
-        source_priors: About the habits of sources, by their names; others have the prior's.
+        source_priors: About the biases of sources, by their names; others have the prior's.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.
@@ -80,7 +80,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         *,
         residual: bool = True,
         prior: CameraPrior | None = None,
-        source_priors: Mapping[str, SourceBelief] | None = None,
+        source_priors: Mapping[str, SourcePrior] | None = None,
         position_known: bool = True,
         heaving: bool = False,
         starts: int = 8,
@@ -129,7 +129,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 for name, belief in (self.source_priors or {}).items()
                 if name in self.sources_
             },
-            noise=PixelNoise(drift_m=0.0) if n == 0 else None,
+            noise=PixelNoise(correlated_m=0.0) if n == 0 else None,
             position_known=self.position_known,
             heaving=self.heaving,
             starts=self.starts,
@@ -228,7 +228,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
     @property
     def reference_sigma_m(self) -> float:
         """Lasting error of the logs that it learned from, metres east and north."""
-        return self.fit_.noise.drift_m
+        return self.fit_.noise.correlated_m
 
     def locate(
         self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
@@ -438,8 +438,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 observations.time_s,
                 along_or_across,
                 self._log,
-                self.fit_.noise.drift_m,
-                self.fit_.noise.drift_s,
+                self.fit_.noise.correlated_m,
+                self.fit_.noise.correlation_time_s,
                 # Heave changes all ranges by the same share, and no bearing.
                 self.fit_.noise.heave_m / camera.height_m if axis == 0 else 0.0,
             )
@@ -557,8 +557,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                     np.array(arrays[f"{key}.time"], dtype=np.float64),
                     np.array(arrays[f"{key}.direction"], dtype=np.float64),
                     np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
-                    model.fit_.noise.drift_m,
-                    model.fit_.noise.drift_s,
+                    model.fit_.noise.correlated_m,
+                    model.fit_.noise.correlation_time_s,
                     model.fit_.noise.heave_m / model.camera_.height_m if key == "range" else 0.0,
                 )
                 if f"{key}.time" in arrays

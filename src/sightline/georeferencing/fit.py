@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
-from sightline.camera.registration import View
+from sightline.camera.priors import CameraPrior, SourcePrior
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit_report import fit_report
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import (
@@ -43,21 +43,21 @@ class FitInputs:
         moving: Whether the camera is on a platform that moves; places are then starboard and ahead.
         tidal: Whether every recording tells how high the water stood.
         horizons: By recording, where the horizon lay in its frames; of a camera that rolls.
-        stances: By recording, how a camera that ought to stand still stood in it.
+        static_intervals: By recording, how a camera that ought to stand still stood in it.
         landmarks: Pixels whose place is known roughly.
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
         name: Begins messages: the scene file.
     """
 
-    correspondences: Pairs
+    correspondences: Correspondences
     image_size_px: tuple[int, int]
     control_points: ControlPoints
     position_known: bool = True
     moving: bool = False
     tidal: bool = False
     horizons: Mapping[str, Horizons] = field(default_factory=dict)
-    stances: Mapping[str, Sequence[Stance]] = field(default_factory=dict)
+    static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     asked: Mapping[str, int] = field(default_factory=dict)
     name: str = "the scene"
@@ -70,7 +70,9 @@ class FitInputs:
             self,
             correspondences=replace(kept, asked=pairs.asked - self.asked.get(recording, 0)),
             horizons={name: own for name, own in self.horizons.items() if name != recording},
-            stances={name: own for name, own in self.stances.items() if name != recording},
+            static_intervals={
+                name: own for name, own in self.static_intervals.items() if name != recording
+            },
         )
 
 
@@ -90,7 +92,7 @@ class FitSettings:
     model: str | ModelType = DEFAULT_MODEL
     seed: int = 0
     prior: CameraPrior | None = None
-    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
     water_level_m: float | None = None
 
 
@@ -134,7 +136,7 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
             "recording boxes and fixes, or [[control_points]]"
         )
     horizon = _typical_horizon(list(inputs.horizons.values()))
-    view = reference_view(inputs.stances)
+    view = reference_view(inputs.static_intervals)
     known = _Knowledge()
     while True:
         fitted = _fit_once(inputs, _prepared(inputs, known, horizon), kind, settings)
@@ -160,7 +162,7 @@ def _told(
     inputs: FitInputs,
     known: _Knowledge,
     horizon: tuple[float, float] | None,
-    view: View | None,
+    view: ReferenceView | None,
 ) -> _Knowledge:
     """What is known after a fit; the same object where it told nothing of a new kind."""
     camera = fitted.camera
@@ -172,7 +174,7 @@ def _told(
     if known.rotations is None and view is not None:
         rotations = {
             name: found
-            for name, own in inputs.stances.items()
+            for name, own in inputs.static_intervals.items()
             if (found := fitted.rotation_in(own, view)) is not None
         }
         if rotations:
@@ -183,7 +185,9 @@ def _told(
     return told
 
 
-def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None) -> Pairs:
+def _prepared(
+    inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None
+) -> Correspondences:
     """Correspondences as a camera would have seen them that lay as it does for the model."""
     pairs = inputs.correspondences
     if known.origin is not None:
@@ -195,11 +199,11 @@ def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float]
 
 
 def _stabilised(
-    pairs: Pairs,
+    pairs: Correspondences,
     horizons: Mapping[str, Horizons],
     horizon_px: tuple[float, float],
     lens: Camera,
-) -> Pairs:
+) -> Correspondences:
     """Correspondences with roll and pitch taken off; those without a horizon are left out."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
@@ -209,7 +213,9 @@ def _stabilised(
     return _moved(pairs, horizons, moved)
 
 
-def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs:
+def _compensated(
+    pairs: Correspondences, rotations: Mapping[str, CameraRotation]
+) -> Correspondences:
     """Correspondences with the camera rotations of their recordings taken off their boxes."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
@@ -220,10 +226,10 @@ def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs
 
 
 def _moved(
-    pairs: Pairs,
+    pairs: Correspondences,
     recordings: Iterable[str],
     move: Callable[[str, Boxes], tuple[FloatArray, BoolArray]],
-) -> Pairs:
+) -> Correspondences:
     """Correspondences with the boxes of some recordings moved; those that cannot be are left out.
 
     Args:
@@ -251,7 +257,7 @@ def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None
 
 
 def _fit_once(
-    inputs: FitInputs, pairs: Pairs, kind: ModelType, settings: FitSettings
+    inputs: FitInputs, pairs: Correspondences, kind: ModelType, settings: FitSettings
 ) -> Georeferencer:
     control = inputs.control_points
     east_north_m = np.stack(

@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.models import BoxModel
 from sightline.types import BoolArray, FloatArray
 
@@ -37,7 +37,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class SourceBias:
-    """The habit of a source of boxes at the lower edge.
+    """The bias of a source of boxes at the lower edge.
 
     Attributes:
         name: Of the annotator or detector.
@@ -87,7 +87,7 @@ class FitReport:
 
     Attributes:
         model: Name of the model.
-        n: Pairs that it learned from.
+        n: Correspondences that it learned from.
         asked: Boxes that there were.
         control_points: Control points that it learned from.
         recordings: Their names.
@@ -156,7 +156,7 @@ def _jsonable(value: Any) -> Any:
 def fit_report(
     model: str,
     regressor: BoxModel,
-    pairs: Pairs,
+    pairs: Correspondences,
     places: FloatArray,
     control_points: int,
 ) -> FitReport:
@@ -203,7 +203,7 @@ def fit_report(
 
 
 def _camera_report(
-    regressor: CameraRegressor, pairs: Pairs, control_points: int, outlier: BoolArray
+    regressor: CameraRegressor, pairs: Correspondences, control_points: int, outlier: BoolArray
 ) -> dict[str, Any]:
     fitted = regressor.fit_
     camera, determined = fitted.camera, fitted.determined()
@@ -253,7 +253,7 @@ def _camera_report(
 def _statements(
     parameters: list[Parameter],
     fitted: Any,
-    pairs: Pairs,
+    pairs: Correspondences,
     control_points: int,
     outlier: BoolArray,
 ) -> tuple[str, ...]:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.parameters import LOG_FOCAL
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, widen
 from sightline.camera.stabilisation import nominal_camera, stabilise
 from sightline.camera.state import ObservedBoxes
@@ -38,6 +38,13 @@ from sightline.types import (
 )
 
 _VIEW = ("strips", "top_px", "left_px")
+_OLD_NAMES = {
+    "drift_m": "correlated_m",
+    "drift_s": "correlation_time_s",
+    "focal_log_sigma": "log_focal_sigma",
+    "height_log_sigma": "log_height_sigma",
+}
+"""Settings of release 0.1, and their names now."""
 _DAMAGE = (
     ArithmeticError,
     AttributeError,
@@ -77,7 +84,7 @@ class Georeferencer:
     report: FitReport
     horizon_px: tuple[float, float] | None = None
     moving: bool = False
-    view: View | None = None
+    view: ReferenceView | None = None
     water_level_m: float | None = None
 
     @property
@@ -91,7 +98,7 @@ class Georeferencer:
         return self.regressor if isinstance(self.regressor, CameraRegressor) else None
 
     @property
-    def log_sigma_m(self) -> float:
+    def reference_sigma_m(self) -> float:
         """How far off the logs that it learned from were, metres east and north.
 
         The part that lasts: what changes from fix to fix cannot be told from the boxes' own noise,
@@ -291,12 +298,12 @@ class Georeferencer:
         return LocatedBoxes.at(plain, positions)
 
     def rotation_in(
-        self, stances: Sequence[Stance], view: View | None = None
+        self, static_intervals: Sequence[StaticInterval], view: ReferenceView | None = None
     ) -> CameraRotation | None:
-        """How the camera lay in the stances of a recording, against how it lies for the model.
+        """Camera rotation in the static intervals of a recording, against the model's camera.
 
         Args:
-            stances: Of the recording.
+            static_intervals: Of the recording.
             view: What the camera of the model saw. Absent: the model's own view.
 
         Returns:
@@ -306,9 +313,9 @@ class Georeferencer:
         fit = self.regressor.camera_fit
         if fit is None or self.moving:
             return None
-        focal_log_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
+        log_focal_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
         return CameraRotation.of(
-            stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
+            static_intervals, fit.camera, view or self.view, log_focal_sigma=log_focal_sigma
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -385,9 +392,12 @@ def _build(
 
 
 def _settings(content: dict[str, Any]) -> dict[str, Any]:
-    """The model's settings; files of release 0.1 kept hyperparameters as logarithms."""
+    """The model's settings; files of release 0.1 kept logarithms, and had other names."""
     settings = dict(content["settings"])
     if content["format_version"] == 1:
+        for key in {"noise", "prior"} & settings.keys():
+            if settings[key] is not None:
+                settings[key] = {_OLD_NAMES.get(k, k): v for k, v in settings[key].items()}
         for key in {"range", "bearing"} & settings.keys():
             values = np.exp(np.array(settings[key]["hyperparameters"], dtype=np.float64))
             settings[key] = {**settings[key], "hyperparameters": values.tolist()}
@@ -400,14 +410,14 @@ def _moved(boxes: ObservedBoxes, xyxy_px: FloatArray, known: BoolArray) -> Obser
     return ObservedBoxes.at(chosen.boxes.with_columns(xyxy_px=xyxy_px[rows]), chosen.state)
 
 
-def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:
+def _view(tensors: dict[str, Any], landmarks: bool) -> ReferenceView | None:
     if "view.strips" not in tensors:
         return None
     strips, *places = (np.asarray(tensors[f"view.{name}"]) for name in _VIEW)
     if strips.dtype != np.uint8:
         raise ValueError("its view is no picture")
     top_px, left_px = (place.astype(np.int64) for place in places)
-    return View(strips, top_px, left_px, landmarks)
+    return ReferenceView(strips, top_px, left_px, landmarks)
 
 
 def _finite(value: Any) -> float | None:

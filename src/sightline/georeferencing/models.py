@@ -16,10 +16,10 @@ from sightline._plugins import loaded, registered
 from sightline.camera.calibration import CameraFit
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.errors import InputError, unknown_name
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.observations import CONTROL_POINT_SIGMA_M, CameraObservations
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel, paper_model
@@ -54,7 +54,7 @@ class Observations:
         source_priors: Of the lower edge of single sources of boxes, by name.
     """
 
-    correspondences: Pairs
+    correspondences: Correspondences
     image_size_px: tuple[int, int]
     control_points: Landmarks
     landmarks: Landmarks
@@ -63,7 +63,7 @@ class Observations:
     moving: bool = False
     tidal: bool = False
     prior: CameraPrior | None = None
-    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
 
 
 class BoxModel(Protocol):

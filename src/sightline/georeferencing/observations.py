@@ -9,9 +9,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.camera.observations import NO_SOURCE, Landmarks, Sightings
+from sightline.camera.observations import NO_SOURCE, Landmarks, PointCorrespondences
 from sightline.errors import FitError, InputError
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.types import BoolArray, FloatArray, IntArray, StrArray, check_boxes
 
 CONTROL_POINT_SIGMA_M = 0.1
@@ -96,7 +96,11 @@ class CameraObservations:
 
     @classmethod
     def of(
-        cls, pairs: Pairs, *, above_m: FloatArray | None = None, landmarks: Landmarks | None = None
+        cls,
+        pairs: Correspondences,
+        *,
+        above_m: FloatArray | None = None,
+        landmarks: Landmarks | None = None,
     ) -> Self:
         """The observations that pairs and landmarks make.
 
@@ -115,7 +119,7 @@ class CameraObservations:
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
             above_m=np.zeros(len(pairs)) if above_m is None else above_m,
-            bias_only=pairs.beside,
+            bias_only=pairs.bias_only,
             landmarks=landmarks or Landmarks.none(),
         )
 
@@ -135,7 +139,7 @@ class CameraObservations:
         vessel = _numbered(self.vessel)
         return _numbered(self.group * (int(vessel.max(initial=0)) + 1) + vessel)
 
-    def sightings(self) -> Sightings:
+    def sightings(self) -> PointCorrespondences:
         """Feet of the boxes, then the landmarks, as the fit of a camera takes them."""
         boxes, known, n, m = self.boxes_xyxy_px, self.landmarks, len(self), len(self.landmarks)
         foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
@@ -143,7 +147,7 @@ class CameraObservations:
         # Points of a map are independent of one another: each is a group of its own.
         alone = np.arange(m)
         place = np.concatenate([self.east_north_m, known.east_north_m])
-        return Sightings(
+        return PointCorrespondences(
             pixel_px=np.concatenate([foot, known.pixel_px]),
             east_m=place[:, 0],
             north_m=place[:, 1],

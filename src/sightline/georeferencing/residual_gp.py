@@ -89,7 +89,7 @@ class ResidualProcess:
         group: (N,) int64, the recording of each.
         hyperparameters: Absent: the most probable under priors about ``length_scales``.
         length_scales: (D,) what is believed of the length scales.
-        log_error: What the lasting error of the logs makes of the targets. It is no property of
+        log_error: What the correlated error of the logs makes of the targets. It is no property of
             boxes, so that nothing of it is in what is predicted. Absent: nothing.
     """
 

@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.camera.motion import CameraMotionWatch, CameraTurn, Stance
+from sightline.camera.motion import CameraMotionDetector, CameraTurn, StaticInterval
 from sightline.camera.rotation import seen_again
 from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.camera.static_intervals import LOOKS_APART_S, LOOKS_OF_REFERENCE, least_turn_deg
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording
-from sightline.scene.camera_state import recording_stances, scene_horizons
+from sightline.scene.camera_state import recording_static_intervals, scene_horizons
 from sightline.types import Boxes, FloatArray, Frame, rfc3339
 from sightline.water import WaterLevels
 
@@ -78,12 +78,12 @@ class CameraMotionMonitor:
             return None
         self._next_s = frame.time_utc_s + LOOKS_APART_S
         turn = self._watch.update(frame)
-        stances = self._watch.stances
-        if len(stances) != self._known:
-            if self._known == 0 and not _recognised(self._model, stances):
+        static_intervals = self._watch.static_intervals
+        if len(static_intervals) != self._known:
+            if self._known == 0 and not _recognised(self._model, static_intervals):
                 self._warn(_UNRECOGNISED)
-            self._known = len(stances)
-            rotation = self._model.rotation_in(stances)
+            self._known = len(static_intervals)
+            rotation = self._model.rotation_in(static_intervals)
             if self._compensate:
                 self._history = replace(self._history, rotation=rotation)
             if turn is None and rotation is not None:
@@ -136,7 +136,7 @@ def recording_history(
     model.check_water(water is not None, f"recording {recording.name}: ")
     rotation = None
     if pictures and model.camera is not None and not model.moving:
-        rotation = model.rotation_in(recording_stances(recording))
+        rotation = model.rotation_in(recording_static_intervals(recording))
     return CameraHistory(rotation, scene_horizons(recording), water)
 
 
@@ -154,9 +154,9 @@ def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
     """
     if model.camera is None or model.moving:
         return None
-    stances = recording_stances(recording)
-    rotation = model.rotation_in(stances)
-    seen = recording.source is None or _recognised(model, stances)
+    static_intervals = recording_static_intervals(recording)
+    rotation = model.rotation_in(static_intervals)
+    seen = recording.source is None or _recognised(model, static_intervals)
     said = [] if seen else [_UNRECOGNISED]
     said += [] if rotation is None else rotation.sentences()
     return f"Recording {recording.name}: {' '.join(said)}" if said else None
@@ -176,30 +176,30 @@ def turn_sentence(turn: CameraTurn) -> str:
     )
 
 
-def _recognised(model: Georeferencer, stances: Sequence[Stance]) -> bool:
+def _recognised(model: Georeferencer, static_intervals: Sequence[StaticInterval]) -> bool:
     """Whether a recording's beginning shows what stood still before the model's camera.
 
     True as well where the model has no view to compare it with.
     """
     if model.view is None or model.camera is None:
         return True
-    return bool(stances) and seen_again(model.view, stances[0].view, model.camera)
+    return bool(static_intervals) and seen_again(model.view, static_intervals[0].view, model.camera)
 
 
 def _last_s(boxes: Boxes) -> float:
     return float(boxes.time_utc_s.max(initial=-np.inf))
 
 
-def _watch(model: Georeferencer) -> CameraMotionWatch | None:
+def _watch(model: Georeferencer) -> CameraMotionDetector | None:
     camera = model.camera
-    if camera is None or model.moving or not CameraMotionWatch.fits(model.image_size_px):
+    if camera is None or model.moving or not CameraMotionDetector.fits(model.image_size_px):
         return None
     width, height = model.image_size_px
     rows: FloatArray = camera.horizon_y_px(np.linspace(0.0, width, _COLUMNS))
     seen = np.isfinite(rows).all() and (rows > 0.0).all() and (rows < height).all()
     if model.view is None and not seen:
         return None
-    return CameraMotionWatch(
+    return CameraMotionDetector(
         rows if seen else None,
         float(camera.focal_px),
         least_deg=least_turn_deg(float(camera.focal_px)),

@@ -89,7 +89,7 @@ def evaluate(
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class LocatedRecording:
     """The target's boxes in one recording, where a model puts them, and its log.
 
     Attributes:
@@ -113,7 +113,7 @@ class Placed:
             positions_on_earth(self.boxes, self.platform),
             self.fixes,
             platform=self.platform,
-            log_sigma_m=self.model.log_sigma_m,
+            reference_sigma_m=self.model.reference_sigma_m,
         )
 
     def track(self, trajectory: str | TrajectoryMethod) -> Track | None:
@@ -134,7 +134,7 @@ class Placed:
         return states(self.boxes, self.platform, motion=motion)
 
 
-def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
+def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[LocatedRecording]:
     """The boxes of all recordings that have boxes and a log, each with its model.
 
     Args:
@@ -150,9 +150,9 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
             continue
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
-        history = recording_history(recording, model, pictures=scene.camera.watched)
+        history = recording_history(recording, model, pictures=scene.camera.compensate_rotation)
         boxes = model.place(history.observed(recording.boxes()))
-        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform))
+        placed.append(LocatedRecording(recording.name, boxes, model, recording.fixes(), platform))
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"
@@ -161,7 +161,7 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
 
 
 def score(
-    placed: Sequence[Placed],
+    placed: Sequence[LocatedRecording],
     trajectory: str | TrajectoryMethod | None = None,
     *,
     delta_s: float = 1.0,
@@ -182,7 +182,10 @@ def score(
             if made is None:
                 continue
             pairs = pair_track(
-                made, one.fixes, platform=one.platform, log_sigma_m=one.model.log_sigma_m
+                made,
+                one.fixes,
+                platform=one.platform,
+                reference_sigma_m=one.model.reference_sigma_m,
             )
         if len(pairs):
             parts[one.recording] = pairs
@@ -194,7 +197,7 @@ def score(
     return summarise(parts, delta_s=delta_s)
 
 
-def with_forecasts(report: Report, placed: Sequence[Placed]) -> Report:
+def with_forecasts(report: Report, placed: Sequence[LocatedRecording]) -> Report:
     """A report of placed boxes with the errors of the forecasts made from them.
 
     Args:
@@ -236,11 +239,11 @@ def leave_one_out(
     settings = FitSettings(model=kind, seed=seed)
     return {
         name: fit_inputs(inputs.without(name), settings)
-        for name in recordings_with_pairs(scene, inputs)
+        for name in recordings_with_correspondences(scene, inputs)
     }
 
 
-def recordings_with_pairs(scene: Scene, inputs: FitInputs) -> list[str]:
+def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str]:
     """Names of the recordings that can be left out of a fit in turn: at least two.
 
     Args:
@@ -267,7 +270,7 @@ def compare(
     trajectory: str | TrajectoryMethod | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> tuple[Comparison, dict[str, list[Placed]]]:
+) -> tuple[Comparison, dict[str, list[LocatedRecording]]]:
     """Leave one recording out at a time, for each model, as in the paper's Table 2.
 
     Args:
@@ -303,7 +306,7 @@ def compare(
         method(trajectory)
     single: dict[str, Report] = {}
     smooth: dict[str, Report] = {}
-    all_placed: dict[str, list[Placed]] = {}
+    all_placed: dict[str, list[LocatedRecording]] = {}
     for i, name in enumerate(models):
         if progress:
             progress(f"fitting {name}", i / len(models))

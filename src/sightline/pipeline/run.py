@@ -18,9 +18,19 @@ from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
 from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.overlap import iou
 from sightline.pipeline.camera_state import camera_turns, recording_history
-from sightline.pipeline.evaluate import Placed, place_boxes, recordings_with_pairs
+from sightline.pipeline.evaluate import (
+    LocatedRecording,
+    place_boxes,
+    recordings_with_correspondences,
+)
 from sightline.pipeline.fit_unlabelled import fit_scene
-from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
+from sightline.pipeline.sources import (
+    LOOKED_AT,
+    FrameRateError,
+    check_frame_rate,
+    from_memory,
+    with_times,
+)
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
@@ -60,7 +70,7 @@ class RunResult:
     single: Report | None
     left_out: tuple[str, ...]
     detected: tuple[str, ...]
-    placed: Sequence[Placed]
+    placed: Sequence[LocatedRecording]
     notes: tuple[str, ...] = field(default=())
     smoothed_learned_from: Report | None = None
     single_learned_from: Report | None = None
@@ -97,7 +107,10 @@ def run(
         (('01', '02', '03'), 11)
     """
     settings = settings or TrackSettings()
-    settings = replace(settings, correct_turns=settings.correct_turns and scene.camera.watched)
+    settings = replace(
+        settings,
+        compensate_rotation=settings.compensate_rotation and scene.camera.compensate_rotation,
+    )
     tell = progress or (lambda _what, _share: None)
     seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
@@ -105,7 +118,7 @@ def run(
     fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
     models, failed = _leave_each_out(scene, model, seed, extra, seen, tell)
     tracked = _track_each(scene, fitted, models, seen, settings, tell)
-    placed: list[Placed] = []
+    placed: list[LocatedRecording] = []
     if _drawn(scene):
         placed = place_boxes(scene, lambda name: models.get(name, fitted))
     single = {one.recording: pairs for one in placed if len(pairs := one.single())}
@@ -170,17 +183,17 @@ def _track_each(
         try:
             made = track_recording(recording, fitted, seen, settings)
             judged = made if held is fitted else track_recording(recording, held, seen, settings)
-        except SeldomError as error:
+        except FrameRateError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
         else:
             if _unseen(recording):
                 detected.append(recording.name)
         tracks[recording.name] = Tracks(tuple(made))
-        turned = camera_turns(recording, fitted) if scene.camera.watched else None
+        turned = camera_turns(recording, fitted) if scene.camera.compensate_rotation else None
         if turned is not None:
             notes.append(turned)
-        pairs = _against_log(recording, judged, held.log_sigma_m)
+        pairs = _against_log(recording, judged, held.reference_sigma_m)
         if pairs is not None:
             scored[recording.name] = pairs
     return _Tracked(tracks, scored, tuple(detected), tuple(notes))
@@ -247,7 +260,7 @@ def _leave_each_out(
         inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
         settings = FitSettings(model=kind, seed=seed)
         try:
-            names = recordings_with_pairs(scene, inputs)
+            names = recordings_with_correspondences(scene, inputs)
         except FitError as error:
             return models, error
     for i, name in enumerate(names):
@@ -270,7 +283,7 @@ def _unseen(recording: Recording) -> bool:
 def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
     """What a detector makes of the target where somebody has drawn its boxes.
 
-    Every source of boxes has its own habit at the lower edge. Where the same target was drawn and
+    Every source of boxes has its own bias at the lower edge. Where the same target was drawn and
     detected in the same frames, the fit learns both.
     """
     out: dict[str, Boxes] = {}
@@ -305,27 +318,30 @@ def track_recording(
     where = f"recording {recording.name}"
     platform = recording.platform()
     check_platform(model, platform, f"{where}: ")
-    history = recording_history(recording, model, pictures=settings.correct_turns)
+    history = recording_history(recording, model, pictures=settings.compensate_rotation)
     if recording.boxes_path is not None:
         located = model.place(history.observed(recording.boxes()))
         made = smooth_boxes(located, smoother, settings, track_id=1, platform=platform)
         return [] if made is None else [made]
     if recording.detections_path is not None:
-        batches, highest_id = in_hand(recording.detections())
+        batches, highest_id = from_memory(recording.detections())
     else:
-        refuse_seldom(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
+        check_frame_rate(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
         batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK
-    with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    observed = map(history.observed, with_times)
+    dated = (with_times(boxes, None, model, f"{where}: ") for boxes in batches)
+    observed = map(history.observed, dated)
     return list(follow(observed, model, smoother, settings, highest_id, platform))
 
 
 def _against_log(
-    recording: Recording, tracks: list[Track], log_sigma_m: float
+    recording: Recording, tracks: list[Track], reference_sigma_m: float
 ) -> tuple[ScoredPairs, TracksUsed] | None:
     if recording.fixes_path is None:
         return None
     pairs, used = pair_target(
-        tracks, recording.fixes(), platform=recording.platform(), log_sigma_m=log_sigma_m
+        tracks,
+        recording.fixes(),
+        platform=recording.platform(),
+        reference_sigma_m=reference_sigma_m,
     )
     return (pairs, used) if len(pairs) else None

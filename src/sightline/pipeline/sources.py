@@ -52,14 +52,14 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
         last = float(moment[-1])
     if not ordered:
         # Sorted by track, or not at all: only the whole table can be put in order.
-        return in_hand(formats.read_boxes(path, skip_empty=True))
+        return from_memory(formats.read_boxes(path, skip_empty=True))
     chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True)
     if alone and highest_id == NO_TRACK:
         return (_as_one_target(chunk) for chunk in chunks), 1
     return chunks, highest_id
 
 
-def in_hand(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
+def from_memory(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
     """Boxes in any order, as `read_table`.
 
     Boxes without ids of which no two are of one time are all of one target.
@@ -105,7 +105,7 @@ def make_detector(
     return detector_by_name(detector or DEFAULT_DETECTOR, horizon_px=horizon, options=options)
 
 
-class SeldomError(InputError):
+class FrameRateError(InputError):
     """Pictures or boxes between which a target cannot be followed."""
 
 
@@ -114,7 +114,7 @@ def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> It
 
     Raises:
         InputError: See `usable`.
-        SeldomError: They come too seldom.
+        FrameRateError: They come too seldom.
     """
     first_s: list[float] = []
     for frame in usable(frames, model.image_size_px, where):
@@ -122,9 +122,9 @@ def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> It
         if len(first_s) < LOOKED_AT:
             first_s.append(frame.time_utc_s)
             if len(first_s) == LOOKED_AT:
-                refuse_seldom(first_s, "pictures", model)
+                check_frame_rate(first_s, "pictures", model)
     if len(first_s) < LOOKED_AT:
-        refuse_seldom(first_s, "pictures", model)
+        check_frame_rate(first_s, "pictures", model)
 
 
 def follows_on_earth(model: Georeferencer) -> bool:
@@ -135,22 +135,22 @@ def follows_on_earth(model: Georeferencer) -> bool:
     return model.camera is not None
 
 
-def refuse_seldom(times_s: Sequence[float], what: str, model: Georeferencer) -> None:
+def check_frame_rate(times_s: Sequence[float], what: str, model: Georeferencer) -> None:
     """Refuse what no target can be followed in.
 
     Raises:
-        SeldomError: The times are too far apart.
+        FrameRateError: The times are too far apart.
     """
     apart_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
     most_s = _SELDOM_ON_EARTH_S if follows_on_earth(model) else _SELDOM_S
     if apart_s > most_s:
-        raise SeldomError(
+        raise FrameRateError(
             f"the {what} are {apart_s:.1f} s apart, and a target can be followed only where they "
             f"are at most {most_s:g} s apart; give the video itself, or boxes with a track_id"
         )
 
 
-def timed(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -> Boxes:
+def with_times(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -> Boxes:
     """Boxes with their times, of the picture that the model knows."""
     if clock is not None and len(boxes):
         boxes = boxes.with_columns(time_utc_s=clock.time_utc_s(boxes.frame))

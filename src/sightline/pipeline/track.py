@@ -19,16 +19,16 @@ from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.pipeline.sources import (
+    check_frame_rate,
     fit_for_use,
     follows_on_earth,
-    in_hand,
+    from_memory,
     is_table,
     make_detector,
     moments,
     read_table,
-    refuse_seldom,
-    timed,
     whole_moments,
+    with_times,
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.progress import Progress
@@ -52,7 +52,7 @@ from sightline.water import WaterLevels
 
 DEFAULT_TRAJECTORY = "rts"
 
-ON_BOARD_LASTING_S = 1.3
+ON_BOARD_CORRELATION_TIME_S = 1.3
 """How long errors of boxes last on a vessel under way: heave, for a fourth of a wave's period."""
 
 _MOST_PARTS = 256
@@ -80,7 +80,7 @@ class TrackSettings:
         forecast_s: How far ahead a track is forecast after its last position, where forecasts
             are asked for.
         forecast_interval_s: Time between the points of a forecast.
-        correct_turns: Whether a turn of the camera that its pictures show is made up for.
+        compensate_rotation: Whether camera rotation seen in the video is compensated.
     """
 
     trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY
@@ -91,7 +91,7 @@ class TrackSettings:
     longest_s: float = 1800.0
     forecast_s: float = 60.0
     forecast_interval_s: float = 5.0
-    correct_turns: bool = True
+    compensate_rotation: bool = True
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
@@ -230,21 +230,23 @@ def iter_tracks(
     where = "" if isinstance(source, Boxes) else f"{source}: "
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
-        batches, highest_id = in_hand(source) if isinstance(source, Boxes) else read_table(source)
+        batches, highest_id = (
+            from_memory(source) if isinstance(source, Boxes) else read_table(source)
+        )
         history = CameraHistory(horizons=horizons, water=water)
-        with_times = (timed(boxes, clock, model, where) for boxes in batches)
-        observed: Iterator[ObservedBoxes] = map(history.observed, with_times)
+        dated = (with_times(boxes, clock, model, where) for boxes in batches)
+        observed: Iterator[ObservedBoxes] = map(history.observed, dated)
     else:
         highest_id = NO_TRACK
         monitor = CameraMotionMonitor(
-            model, warn_of=str(source), compensate=settings.correct_turns, water=water
+            model, warn_of=str(source), compensate=settings.compensate_rotation, water=water
         )
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = observe(fit_for_use(frames, model, str(source)), [monitor])
         if model.horizon_px is not None:
             usable = with_horizons(usable)
         found = detect(usable, make_detector(detector, model), frame_count(source), progress)
-        observed = monitor.observed(timed(boxes, None, model, where) for boxes in found)
+        observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
     yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
 
 
@@ -280,7 +282,7 @@ def follow(
         forecasts: See `iter_tracks`.
 
     Raises:
-        SeldomError: No target could be followed, since the boxes come too seldom.
+        FrameRateError: No target could be followed, since the boxes come too seldom.
     """
     first_s: list[float] = []
     book = _OpenTracks(settings, highest_id)
@@ -307,7 +309,7 @@ def follow(
                 forecasts(_forecast(boxes, settings, made, platform))
             yield made
     if count == 0:
-        refuse_seldom(first_s, "boxes", model)
+        check_frame_rate(first_s, "boxes", model)
 
 
 def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform | None) -> Tracker:
@@ -552,10 +554,12 @@ def states(
     if platform is None:
         return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
     motion = motion or MotionModel()
-    motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
+    motion = replace(
+        motion, correlation_time_s=max(motion.correlation_time_s, ON_BOARD_CORRELATION_TIME_S)
+    )
     pose = platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
     followed = follow_motion(
-        boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
+        boxes.time_utc_s, positions, motion, camera_position_m=pose.en_m, track_id=track_id
     )
     then = platform.pose(followed.time_utc_s, positions.plane, until_then=True)
     return followed.carried(then.covariance)

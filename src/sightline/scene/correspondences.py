@@ -8,11 +8,11 @@ import numpy as np
 
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs
 from sightline.platform import to_bow, turned
 from sightline.progress import Progress
-from sightline.scene.camera_state import scene_horizons, scene_stances
+from sightline.scene.camera_state import scene_horizons, scene_static_intervals
 from sightline.scene.scene import Recording, Scene
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap, synchronise
 from sightline.types import Boxes, FloatArray
@@ -41,7 +41,9 @@ def collect(
             nothing says where on the earth the scene is.
     """
     plane = scene.plane
-    pairs = scene_pairs(scene, plane if plane is not None else _middle(scene), extra=extra)
+    pairs = scene_correspondences(
+        scene, plane if plane is not None else _middle(scene), extra=extra
+    )
     anything = len(pairs) or len(scene.control_points)
     asked = {
         recording.name: len(recording.boxes()) + len((extra or {}).get(recording.name, ()))
@@ -57,7 +59,7 @@ def collect(
         moving=scene.moves,
         tidal=scene.tidal,
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
-        stances=scene_stances(scene, progress) if pictures and anything else {},
+        static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         asked=asked,
         name=str(scene.path),
     )
@@ -84,13 +86,13 @@ def _middle(scene: Scene) -> LocalPlane:
     )
 
 
-def scene_pairs(
+def scene_correspondences(
     scene: Scene,
     plane: LocalPlane,
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     extra: Mapping[str, Boxes] | None = None,
-) -> Pairs:
+) -> Correspondences:
     """The pairs of all recordings that have boxes and a log.
 
     Where the camera stands on a platform that moves, places are those that the platform saw: to
@@ -107,7 +109,7 @@ def scene_pairs(
         InputError: No recording's log overlaps it, or a file cannot be used.
     """
     tidal = scene.tidal
-    parts: list[Pairs] = []
+    parts: list[Correspondences] = []
     silent: list[Recording] = []
     for recording in scene.recordings:
         if recording.boxes_path is None or recording.fixes_path is None:
@@ -129,7 +131,7 @@ def scene_pairs(
         rows = np.isfinite(en_m).all(axis=1)
         times = boxes.time_utc_s[rows]
         parts.append(
-            Pairs(
+            Correspondences(
                 boxes=boxes[rows],
                 recording=np.full(int(rows.sum()), recording.name),
                 east_north_m=en_m[rows],
@@ -137,7 +139,7 @@ def scene_pairs(
                 asked=asked,
                 plane=plane,
                 water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
-                beside=~np.isin(boxes.source[rows], drew),
+                bias_only=~np.isin(boxes.source[rows], drew),
             )
         )
     if silent and len(silent) == len(parts):
@@ -151,8 +153,10 @@ def scene_pairs(
         )
     if not parts:
         nothing = np.empty((0, 2))
-        return Pairs(Boxes.of([]), np.empty(0, dtype=np.str_), nothing, nothing.copy(), 0, plane)
-    return Pairs(
+        return Correspondences(
+            Boxes.of([]), np.empty(0, dtype=np.str_), nothing, nothing.copy(), 0, plane
+        )
+    return Correspondences(
         boxes=Boxes.concatenate([part.boxes for part in parts]),
         recording=np.concatenate([part.recording for part in parts]),
         east_north_m=np.concatenate([part.east_north_m for part in parts]),
@@ -160,7 +164,7 @@ def scene_pairs(
         asked=sum(part.asked for part in parts),
         plane=plane,
         water_level_m=np.concatenate([part.water_level_m for part in parts]),
-        beside=np.concatenate([part.beside for part in parts]),
+        bias_only=np.concatenate([part.bias_only for part in parts]),
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.camera.shoreline import StillPicture
-from sightline.camera.static_intervals import StanceWatch
+from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
@@ -16,7 +16,7 @@ from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name
 from sightline.detection.run import FrameObserver, detect, observe, usable
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
-from sightline.scene.camera_state import remember_stances, stances_known
+from sightline.scene.camera_state import remember_static_intervals, static_intervals_known
 from sightline.types import Boxes, FloatArray, Frame
 from sightline.video.reader import frame_count
 
@@ -119,11 +119,11 @@ class SceneDetections:
         if self._stills_wanted and recording.name not in self._stills:
             still = still_picture(recording)
             observers.append(still)
-        stances: StanceWatch | None = None
-        still_standing = self._scene.camera.watched and recording.platform_path is None
-        if still_standing and not stances_known(recording):
-            stances = StanceWatch()
-            observers.append(stances)
+        static_intervals: StaticIntervalMonitor | None = None
+        still_standing = self._scene.camera.compensate_rotation and recording.platform_path is None
+        if still_standing and not static_intervals_known(recording):
+            static_intervals = StaticIntervalMonitor()
+            observers.append(static_intervals)
         where = f"recording {recording.name}"
         frames = usable(recording.frames(), self._scene.image_size_px, where)
         found = list(
@@ -135,8 +135,8 @@ class SceneDetections:
             )
         )
         self._found[recording.name] = Boxes.concatenate(found), np.array(times.utc_s)
-        if stances is not None:
-            remember_stances(recording, stances.stances)
+        if static_intervals is not None:
+            remember_static_intervals(recording, static_intervals.static_intervals)
         if still is not None:
             self._stills[recording.name] = still.picture()
 

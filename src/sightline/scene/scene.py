@@ -16,7 +16,15 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from sightline import formats, video
 from sightline.clock import Clock, presentation_clock
@@ -40,7 +48,9 @@ class _CameraTable(_Table):
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
     image_size_px: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None
-    watched: bool = True
+    compensate_rotation: bool = Field(
+        default=True, validation_alias=AliasChoices("compensate_rotation", "watched")
+    )
 
     @model_validator(mode="after")
     def _whole_place(self) -> Self:
@@ -150,14 +160,15 @@ class CameraSite:
         latitude_deg: Degrees north; None if it is not known.
         longitude_deg: Degrees east; None if it is not known.
         image_size_px: Width and height; None where the scene file leaves that to the video.
-        watched: Whether pictures are asked if the camera was turned, and a turn is made up for.
+        compensate_rotation: Whether pictures are asked if the camera was rotated, and a rotation is
+            compensated.
     """
 
     name: str = ""
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     image_size_px: tuple[int, int] | None = None
-    watched: bool = True
+    compensate_rotation: bool = True
 
 
 @dataclass(frozen=True)
@@ -374,7 +385,7 @@ class Scene:
             latitude_deg=table.camera.latitude_deg,
             longitude_deg=table.camera.longitude_deg,
             image_size_px=(size[0], size[1]) if size else None,
-            watched=table.camera.watched,
+            compensate_rotation=table.camera.compensate_rotation,
         )
         names = [recording.name for recording in table.recordings]
         for name in names:

@@ -47,9 +47,9 @@ _MEASURED: Fields = [
     *IMAGE_MEASURED,
     ("placed", float, ()),
     ("en", float, (2,)),
-    ("eye", float, (2,)),
+    ("camera_position", float, (2,)),
     ("own", float, (2, 2)),
-    ("sight", float, (2,)),
+    ("line_of_sight", float, (2,)),
     ("noise", float, (2, 2)),
 ]
 
@@ -61,8 +61,8 @@ class WorldTrackerSettings(ImageTrackerSettings):
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
-            accordingly less.
+        correlation_time_s: The errors of boxes last for so long; boxes that follow each other
+            faster tell accordingly less.
         earth_gate: Largest distance between a predicted and a measured place, in standard
             deviations.
         loose_gate: The same as long as the image tells more, within ``image_s``: the lower edge
@@ -76,7 +76,7 @@ class WorldTrackerSettings(ImageTrackerSettings):
     direct_s: float = 2.0
     acceleration_m2ps3: float = 0.7
     speed_mps: float = 4.0
-    lasting_s: float = 1.0
+    correlation_time_s: float = 1.0
     earth_gate: float = 4.0
     loose_gate: float = 5.0
     image_s: float = 0.6
@@ -107,15 +107,15 @@ class WorldPlane:
         self._image = ImagePlane(settings)
 
     def measure(self, boxes: Boxes) -> Columns:
-        """What the image has, and ``sight`` (bearing, inverse range) with ``noise``.
+        """What the image has, and ``line_of_sight`` (bearing, inverse range) with ``noise``.
 
-        Both are from the camera, which is at ``eye``.
+        Both are from the camera, which is at ``camera_position``.
         """
         positions = self._locate(boxes)
-        eye = np.zeros((len(boxes), 2))
+        camera_position = np.zeros((len(boxes), 2))
         if self._platform is not None:
             pose = self._platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
-            eye = np.nan_to_num(pose.en_m)
+            camera_position = np.nan_to_num(pose.en_m)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)
         en = np.where(known[:, None], en, [0.0, 1.0])
@@ -123,12 +123,12 @@ class WorldPlane:
         # What a target's positions have in common does not move it from one to the next.
         own = positions.covariance_m2 - (1.0 - _OWN_SHARE) * positions.shared_covariance_m2
         own = np.where(known[:, None, None], own, np.eye(2))
-        sight, jacobian = _sight(en - eye)
+        sight, jacobian = _line_of_sight(en - camera_position)
         measured = np.zeros(len(boxes), dtype=_MEASURED)
         self._image.fill_measured(measured, boxes)
         measured["placed"] = known
-        measured["en"], measured["eye"], measured["own"] = en, eye, own
-        measured["sight"] = sight
+        measured["en"], measured["camera_position"], measured["own"] = en, camera_position, own
+        measured["line_of_sight"] = sight
         measured["noise"] = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
         return measured
 
@@ -176,9 +176,9 @@ class WorldPlane:
     def _distance(self, state: Columns, measured: Columns, i: IntArray, j: IntArray) -> FloatArray:
         """(P,) distance of pairs in bearing and inverse range, in standard deviations."""
         # All boxes are of one moment.
-        expected, jacobian = _sight(state["place"][:, :2] - measured["eye"][:1])
+        expected, jacobian = _line_of_sight(state["place"][:, :2] - measured["camera_position"][:1])
         spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
-        off = _off(measured["sight"][j], expected[i])
+        off = _residual(measured["line_of_sight"][j], expected[i])
         return np.sqrt(_squared(off, spread[i] + measured["noise"][j]))
 
     def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
@@ -203,13 +203,15 @@ class WorldPlane:
     def _update_places(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
         """Correct the places of targets that have one by those of their boxes."""
         place, doubt = state["place"], state["doubt"]
-        expected, jacobian = _sight(place[:, :2] - measured["eye"])
+        expected, jacobian = _line_of_sight(place[:, :2] - measured["camera_position"])
         cross = doubt[:, :, :2] @ jacobian.transpose(0, 2, 1)
         # Errors that last make boxes that follow each other closely one box.
-        repeated = np.maximum(1.0, 2.0 * self._settings.lasting_s / np.maximum(silent_s, 1e-3))
+        repeated = np.maximum(
+            1.0, 2.0 * self._settings.correlation_time_s / np.maximum(silent_s, 1e-3)
+        )
         noise = measured["noise"] * repeated[:, None, None]
         gain = cross @ _inverse(jacobian @ cross[:, :2] + noise)
-        off = _off(measured["sight"], expected)
+        off = _residual(measured["line_of_sight"], expected)
         state["place"] = place + (gain @ off[:, :, None])[:, :, 0]
         left = doubt - gain @ cross.transpose(0, 2, 1)
         state["doubt"] = 0.5 * (left + left.transpose(0, 2, 1))
@@ -294,7 +296,7 @@ class WorldTracker(TargetTracker):
         )
 
 
-def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bearing (radians) and inverse range (1/m) of places, and their derivatives.
 
     Args:
@@ -321,7 +323,7 @@ def _on_both_axes(matrix: FloatArray) -> FloatArray:
     return out
 
 
-def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
+def _residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
     """(N, 2) differences, that of the bearing in (-pi, pi]."""
     off = measured - expected
     off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi

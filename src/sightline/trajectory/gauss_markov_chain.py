@@ -44,8 +44,8 @@ class Nodes:
         root_m: (N, 2, 2) float64, lower Cholesky factor of one measurement's stated covariance
             in those axes.
         count: (N,) float64, how many measurements the node is the mean of.
-        agility: (N + 1,) float64, by how much the spectral density of the acceleration differs
-            from the usual one: before the first node, between nodes, after the last.
+        process_noise_scale: (N + 1,) float64, by how much the spectral density of the acceleration
+            differs from the usual one: before the first node, between nodes, after the last.
     """
 
     time_s: FloatArray
@@ -53,7 +53,7 @@ class Nodes:
     axes: FloatArray
     root_m: FloatArray
     count: FloatArray
-    agility: FloatArray
+    process_noise_scale: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +62,16 @@ class Parameters:
 
     Attributes:
         q_m2ps3: Spectral density of the acceleration.
-        tau_s: Time constant of the lasting noise.
+        correlation_time_s: Time constant of the correlated noise.
         white: Shares of the stated standard deviation that are white, along and across.
-        lasting: Shares that last.
+        correlated: Shares that are correlated.
         speed_mps: Standard deviation of each component of the velocity before measurements.
     """
 
     q_m2ps3: float
-    tau_s: float
+    correlation_time_s: float
     white: tuple[float, float]
-    lasting: tuple[float, float]
+    correlated: tuple[float, float]
     speed_mps: float
 
 
@@ -305,7 +305,8 @@ class _System:
         right: (6, N).
         minus_two_log: The terms of -2 log likelihood that do not need the solution.
         whitened: (2, N) measurements in units of their white noise.
-        design: (2, 4, N) what they measure of a node's position and lasting noise, in these units.
+        design: (2, 4, N) what they measure of a node's position and correlated noise, in these
+            units.
     """
 
     band: FloatArray
@@ -316,7 +317,7 @@ class _System:
 
 
 def _system(nodes: Nodes, parameters: Parameters) -> _System:
-    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    q = parameters.q_m2ps3 * nodes.process_noise_scale[1:-1]
     n = nodes.time_s.size
     band = np.zeros((STATE, BAND, n))
 
@@ -338,18 +339,18 @@ def _system(nodes: Nodes, parameters: Parameters) -> _System:
     velocity[:, 4, :-1] = -b
     velocity[:, 6, :-1] = c
 
-    kept = np.exp(-lag / parameters.tau_s)
+    kept = np.exp(-lag / parameters.correlation_time_s)
     fresh = 1.0 / (1.0 - kept * kept)
-    lasting = band[4:6]
-    lasting[:, 0, :-1] = kept * kept * fresh
-    lasting[:, 0, 1:] += fresh
-    lasting[:, 0, 0] += 1.0
-    lasting[:, 6, :-1] = -kept * fresh
+    correlated = band[4:6]
+    correlated[:, 0, :-1] = kept * kept * fresh
+    correlated[:, 0, 1:] += fresh
+    correlated[:, 0, 0] += 1.0
+    correlated[:, 6, :-1] = -kept * fresh
     # Of the motion, 12 / (q² lag⁴) is 3 c² / lag².
     minus_two_log = -2.0 * float(np.log(3.0 * (c / lag) ** 2 * fresh).sum())
 
     # One row a measurement, in units of its white noise.
-    (white, white_across), (share, share_across) = parameters.white, parameters.lasting
+    (white, white_across), (share, share_across) = parameters.white, parameters.correlated
     l11, l21, l22 = nodes.root_m[:, 0, 0], nodes.root_m[:, 1, 0], nodes.root_m[:, 1, 1]
     size = np.sqrt(nodes.count)
     first, second = size / (l11 * white), size / (l22 * white_across)
@@ -439,7 +440,7 @@ def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
         mean=solution.mean[:4].T,
         covariance=solution.covariance[:4, :4].transpose(2, 0, 1),
         cross=solution.cross[:4, :4].transpose(2, 0, 1),
-        q_m2ps3=parameters.q_m2ps3 * nodes.agility,
+        q_m2ps3=parameters.q_m2ps3 * nodes.process_noise_scale,
     )
 
 
@@ -455,8 +456,8 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
         parameters: Of the chain.
 
     Returns:
-        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``, ``tau_s``, ``white``
-        along and across, ``lasting`` along and across.
+        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``,
+        ``correlation_time_s``, ``white`` along and across, ``correlated`` along and across.
     """
     system = _system(nodes, parameters)
     solution = _solve(system)
@@ -466,11 +467,11 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
 
     lag = np.diff(nodes.time_s)
     energy, doubt = _energy(lag, mean, own, cross)
-    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    q = parameters.q_m2ps3 * nodes.process_noise_scale[1:-1]
     by_q = 4.0 * lag.size - ((energy + doubt) / q).sum()
 
-    # Of the lasting noise: o' = kept o + sqrt(1 - kept²) draw, for both components at once.
-    kept = np.exp(-lag / parameters.tau_s)
+    # Of the correlated noise: o' = kept o + sqrt(1 - kept²) draw, for both components at once.
+    kept = np.exp(-lag / parameters.correlation_time_s)
     fresh = 1.0 / (1.0 - kept * kept)
     old, both, new = np.zeros((3, lag.size))
     for j in (4, 5):
@@ -479,9 +480,9 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
         new += mean[j, 1:] ** 2 + own[j, j, 1:]
     drawn = fresh * (new - 2.0 * kept * both + kept * kept * old)
     by_kept = 2.0 * fresh * (kept * (drawn - 2.0) - (both - kept * old))
-    by_tau = (by_kept * kept * lag).sum() / parameters.tau_s
+    by_correlation_time = (by_kept * kept * lag).sum() / parameters.correlation_time_s
 
-    # Second moments of the white errors (in units of them), and with the lasting noise.
+    # Second moments of the white errors (in units of them), and with the correlated noise.
     seen = own[np.ix_(_SEEN, _SEEN)]
     pulled = (system.design[:, :, None] * seen).sum(axis=1)
     along2, across2 = rest * rest + (pulled * system.design).sum(axis=1)
@@ -492,12 +493,15 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
     n = nodes.time_s.size
     gradient = [
         by_q,
-        by_tau,
+        by_correlation_time,
         2.0 * (n - (along2 - lean * product).sum()),
         2.0 * (n - (across2 + lean * product).sum()),
-        -2.0 * parameters.lasting[0] / parameters.white[0] * (size @ (along_o1 - lean * across_o1)),
         -2.0
-        * parameters.lasting[1]
+        * parameters.correlated[0]
+        / parameters.white[0]
+        * (size @ (along_o1 - lean * across_o1)),
+        -2.0
+        * parameters.correlated[1]
         / parameters.white[1]
         * (size @ (lean * across_o1 + across_o2)),
     ]

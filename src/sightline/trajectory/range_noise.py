@@ -62,7 +62,7 @@ class RobustStart:
             at_least: Number of neighbours.
         """
         # Medians depend on the axes: along and across the mean direction, they turn with the plane.
-        _, sine, cosine = _sight(*en_m.mean(axis=0, keepdims=True).T)
+        _, sine, cosine = _line_of_sight(*en_m.mean(axis=0, keepdims=True).T)
         turn = np.array([[sine[0], cosine[0]], [-cosine[0], sine[0]]])
         middle = _firsts(np.floor(time_s / (0.15 * window_s)))
         first, stop = np.searchsorted(
@@ -115,7 +115,7 @@ class NoiseAtRange:
     def of(cls, measured: Measurements) -> NoiseAtRange:
         """Reads from the covariances how the noise grows."""
         en_m = np.ascontiguousarray(measured.en_m.T)
-        range_m, sine, cosine = _sight(*en_m)
+        range_m, sine, cosine = _line_of_sight(*en_m)
         stated = np.stack([measured.covariance_m2[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))])
         covariance = _turned(stated, sine, cosine)
         sigma = np.sqrt(covariance[::2])
@@ -141,7 +141,7 @@ class NoiseAtRange:
         """
         east, north = reference_m.T
         if self.powers is None:
-            _, sine, cosine = _sight(east, north)
+            _, sine, cosine = _line_of_sight(east, north)
             measured = _along_across(self.en_m[0], self.en_m[1], sine, cosine)
             return Linearised(
                 measured_m=np.stack(measured),
@@ -183,7 +183,7 @@ class NoiseAtRange:
         """Covariance (M, 2, 2), east and north, of a share of what is stated, at places (M, 2)."""
         out = np.zeros((2, 2, en_m.shape[0]))
         if share_along > 0.0 or share_across > 0.0:
-            range_m, sine, cosine = _sight(*en_m.T)
+            range_m, sine, cosine = _line_of_sight(*en_m.T)
             if self.powers is None:
                 along, mixed, across = _turned(self.stated_m2[:, :1], sine, cosine)
             else:
@@ -202,7 +202,9 @@ def _range(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
     return out
 
 
-def _sight(east_m: FloatArray, north_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _line_of_sight(
+    east_m: FloatArray, north_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Ranges, and sines and cosines of the bearings, three (N,), of places."""
     length = np.sqrt(east_m * east_m + north_m * north_m)
     here = length < 1e-150
@@ -349,7 +351,7 @@ class Linearised:
         sums = np.add.reduceat(rows, first, axis=1)
         node_s = sums[0] / count
         mean = _inverse(sums[1:4])
-        _, sine, cosine = _sight(sums[6], sums[7])
+        _, sine, cosine = _line_of_sight(sums[6], sums[7])
         at = reference.position_at(node_s)
         east = at[:, 0] + mean[0] * sums[4] + mean[1] * sums[5]
         north = at[:, 1] + mean[1] * sums[4] + mean[2] * sums[5]
@@ -367,5 +369,5 @@ class Linearised:
             axes=axes.transpose(2, 0, 1),
             root_m=root.transpose(2, 0, 1),
             count=count,
-            agility=np.ones(count.size + 1),
+            process_noise_scale=np.ones(count.size + 1),
         )

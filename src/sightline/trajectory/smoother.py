@@ -61,7 +61,7 @@ class NoiseModel:
 
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
-        lasting_s: Time constant of the noise that lasts, seconds.
+        correlation_time_s: Time constant of the noise that lasts, seconds.
         white_along: Share that is independent from box to box.
         white_across: The same, across the line of sight.
         lasting_along: Share that lasts.
@@ -69,7 +69,7 @@ class NoiseModel:
     """
 
     acceleration_m2ps3: float
-    lasting_s: float
+    correlation_time_s: float
     white_along: float
     white_across: float
     lasting_along: float
@@ -90,7 +90,7 @@ _PRIOR_MEDIAN = NoiseModel(0.1, 0.8, 0.8, 0.8, 0.03, 0.03)
 _PRIOR_SD = np.array([2.0, 0.15, 1.0, 1.0, 2.0, 2.0])
 _BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
 _TOTAL_PRIOR_SD = 0.4
-# Of the acceleration, the time constant, all noise along and across, the lasting over the white.
+# Of the acceleration, the time constant, all noise along and across, the correlated over the white.
 _BOUNDS = [(1e-4, 30.0), (0.1, 5.0), (0.03, 20.0), (0.03, 20.0), (1e-3, 100.0), (1e-3, 100.0)]
 _CURVATURE = np.array([0.3, 0.3, 2.0, 1.0, 0.03, 0.03])
 """Of the log likelihood by the logarithms of these, for each node; about."""
@@ -239,7 +239,9 @@ class RtsSmoother:
             if self.noise is None and i == 0:
                 noise = _learned(nodes, noise, self.speed_mps)
             elif self.noise is None:
-                nodes = replace(nodes, agility=_agility(posterior, nodes.time_s, noise))
+                nodes = replace(
+                    nodes, process_noise_scale=_process_noise_scale(posterior, nodes.time_s, noise)
+                )
             before = posterior.position_at(nodes.time_s)
             posterior = chain.smooth(nodes, _parameters(noise, self.speed_mps))
             moved2 = ((posterior.mean[:, :2] - before) ** 2).sum(axis=1)
@@ -269,15 +271,15 @@ class RtsSmoother:
         if self.noise is not None:
             return 0.0, 0.0
         n = float(nodes.count.sum())
-        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.lasting_s
+        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.correlation_time_s
         shares = []
-        for white, lasting in (
+        for white, correlated in (
             (noise.white_along, noise.lasting_along),
             (noise.white_across, noise.lasting_across),
         ):
-            seen = white**2 + lasting**2
+            seen = white**2 + correlated**2
             # Standard deviation of the logarithm of the scatter, as for so many independent draws.
-            spread = np.sqrt(2.0 * (white**4 / n + lasting**4 / min(n, spells))) / seen
+            spread = np.sqrt(2.0 * (white**4 / n + correlated**4 / min(n, spells))) / seen
             doubt = float(np.hypot(spread, _STATED_DOUBT))
             shares.append(max(0.0, 1.0 - seen * float(np.exp(2.0 * doubt))))
         return shares[0], shares[1]
@@ -290,9 +292,9 @@ def _logs(noise: NoiseModel) -> FloatArray:
 def _parameters(noise: NoiseModel, speed_mps: float) -> chain.Parameters:
     return chain.Parameters(
         q_m2ps3=noise.acceleration_m2ps3,
-        tau_s=noise.lasting_s,
+        correlation_time_s=noise.correlation_time_s,
         white=(noise.white_along, noise.white_across),
-        lasting=(noise.lasting_along, noise.lasting_across),
+        correlated=(noise.lasting_along, noise.lasting_across),
         speed_mps=speed_mps,
     )
 
@@ -335,7 +337,9 @@ def _gate(
     return kept if (kept & used).any() else used
 
 
-def _agility(posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel) -> FloatArray:
+def _process_noise_scale(
+    posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel
+) -> FloatArray:
     """How hard the target accelerates in each part of its track, against what is usual for it.
 
     Boats go straight, and then they turn. The spectral density of the acceleration is that which
@@ -375,16 +379,18 @@ def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
         return nodes
     chosen = np.linspace(0, stretch[-1], _STRETCHES).round()
     kept = np.isin(stretch, chosen)
-    columns = {name: column[kept] for name, column in vars(nodes).items() if name != "agility"}
-    return chain.Nodes(**columns, agility=np.ones(int(kept.sum()) + 1))
+    columns = {
+        name: column[kept] for name, column in vars(nodes).items() if name != "process_noise_scale"
+    }
+    return chain.Nodes(**columns, process_noise_scale=np.ones(int(kept.sum()) + 1))
 
 
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
     """The noise model with the largest posterior probability given the measurements.
 
-    In place of the white and the lasting share along each axis it is looked for by the logarithms
-    of both together and of their ratio: the measurements tell the former well whatever the latter
-    is, so that the objective is nearly a sum of functions of one variable.
+    In place of the white and the correlated share along each axis it is looked for by the
+    logarithms of both together and of their ratio: the measurements tell the former well whatever
+    the latter is, so that the objective is nearly a sum of functions of one variable.
     """
     nodes = _excerpt(nodes)
     centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
@@ -403,9 +409,9 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         total = scaled[2:4] * scale[2:4] / _TOTAL_PRIOR_SD
         value += float(belief @ belief + total @ total)
         gradient += 2.0 * belief / _PRIOR_SD
-        white, lasting = gradient[2:4].copy(), gradient[4:].copy()
-        gradient[2:4] = white + lasting + 2.0 * total / _TOTAL_PRIOR_SD
-        gradient[4:] = lasting - lasting_part * (white + lasting)
+        white, correlated = gradient[2:4].copy(), gradient[4:].copy()
+        gradient[2:4] = white + correlated + 2.0 * total / _TOTAL_PRIOR_SD
+        gradient[4:] = correlated - lasting_part * (white + correlated)
         values.append(0.5 * value)
         # What is gained since the start is the measure of when to stop.
         return values[-1] - values[0], 0.5 * gradient * scale
@@ -429,7 +435,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
 def _shares(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Logarithms in the order of `NoiseModel`, of those by which `_learned` looks for it.
 
-    Also the share (2,) of the lasting noise in the variance, along and across.
+    Also the share (2,) of the correlated noise in the variance, along and across.
     """
     out = logs.copy()
     lasting_part = 1.0 / (1.0 + np.exp(-2.0 * logs[4:]))

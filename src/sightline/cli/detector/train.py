@@ -75,7 +75,7 @@ def train(
         list[str] | None,
         typer.Option(
             metavar="SOURCE=PX[+SHARE%]",
-            help="Added on every side of the boxes of an annotator, whose habit it evens out: "
+            help="Added on every side of the boxes of an annotator, whose bias it evens out: "
             "pixels, and a share of the box's height. May be given several times.",
         ),
     ] = None,

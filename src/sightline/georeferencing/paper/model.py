@@ -131,7 +131,7 @@ class PaperModel:
     """The paper's models go from a box to a place, and know of no camera."""
     camera_fit = None
     reference_sigma_m = 0.0
-    """They do not tell a log's lasting error from a box's."""
+    """They do not tell a log's correlated error from a box's."""
 
     def locate(
         self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
