@@ -15,7 +15,7 @@ from sightline.types import Boxes, Fixes, FloatArray, Headings, Positions
 
 PLANE = LocalPlane(54.0, 10.0)
 SETTINGS = WorldTrackerSettings(
-    acceleration_m2ps3=0.6, speed_mps=3.0, lasting_s=0.8, earth_gate=3.0, loose_gate=4.5
+    acceleration_m2ps3=0.6, speed_mps=3.0, correlation_time_s=0.8, earth_gate=3.0, loose_gate=4.5
 )
 BOX = [300.0, 200.0, 330.0, 220.0]
 
@@ -88,7 +88,7 @@ def test_what_is_measured_is_bearing_and_inverse_range_from_the_camera(on_board:
         # A twentieth of what the places have in common stays.
         own = covariance[k] - 0.95 * 0.5 * np.eye(2)
         slope = slope_of(en[k] - eye)
-        np.testing.assert_allclose(measured["sight"][k], sight_of(en[k] - eye), rtol=1e-6)
+        np.testing.assert_allclose(measured["line_of_sight"][k], sight_of(en[k] - eye), rtol=1e-6)
         np.testing.assert_allclose(measured["noise"][k], slope @ own @ slope.T, rtol=1e-5)
     assert (measured["placed"] == 1.0).all()
 
@@ -99,7 +99,9 @@ def test_what_has_no_place_or_no_covariance_is_not_placed() -> None:
     covariance[3] *= np.inf
     measured = WorldPlane(placed_at(en, covariance), SETTINGS).measure(boxes_of(4))
     assert measured["placed"].tolist() == [1.0, 0.0, 0.0, 0.0]
-    assert all(np.isfinite(measured[name]).all() for name in ("sight", "noise", "en", "own"))
+    assert all(
+        np.isfinite(measured[name]).all() for name in ("line_of_sight", "noise", "en", "own")
+    )
 
 
 def test_what_is_beside_the_camera_is_not_nearer_than_a_metre() -> None:
@@ -107,7 +109,7 @@ def test_what_is_beside_the_camera_is_not_nearer_than_a_metre() -> None:
     measured = WorldPlane(placed_at(en, np.tile(np.eye(2), (3, 1, 1))), SETTINGS).measure(
         boxes_of(3)
     )
-    np.testing.assert_allclose(measured["sight"][:, 1], 1.0)
+    np.testing.assert_allclose(measured["line_of_sight"][:, 1], 1.0)
     assert np.isfinite(measured["noise"]).all()
 
 
@@ -146,7 +148,7 @@ def test_targets_are_followed_by_the_textbooks_extended_kalman_filter() -> None:
         plane.predict(state, lag_s)
         plane.update(state, np.full(n, lag_s), measured[moment * n : (moment + 1) * n])
         # So many boxes within what lasts (to either side) count as one.
-        repeated = max(1.0, 2.0 * SETTINGS.lasting_s / lag_s)
+        repeated = max(1.0, 2.0 * SETTINGS.correlation_time_s / lag_s)
         for k in range(n):
             f, row = transition(lag_s), moment * n + k
             at, p = f @ mean[k], f @ doubt[k] @ f.T + accumulated(lag_s)
