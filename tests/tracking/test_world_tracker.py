@@ -266,6 +266,18 @@ def test_a_damaged_state_is_refused_and_changes_nothing(spoil: Callable[[dict], 
     assert tracker.state() == before
 
 
+def test_a_state_without_targets_is_taken_up() -> None:
+    tracker = ImageTracker()
+    run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
+    tracker.restore(ImageTracker().state())
+    assert len(tracker) == 0
+    # Ids begin anew, and so does time.
+    out = run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
+    assert ids_of(out, 0) == {1}
+    with pytest.raises(InputError, match="do not fit together"):
+        tracker.restore({**ImageTracker().state(), "next_id": 0})
+
+
 def test_a_state_of_another_plane_is_refused() -> None:
     tracker = ImageTracker()
     run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
