@@ -358,6 +358,11 @@ def test_a_stated_certainty_holds_only_where_it_is_right() -> None:
     )
     np.testing.assert_array_equal(mahalanobis_squared(pairs), [0.0, np.inf])
     assert coverage(pairs).p95 == 0.5
+    # As does one that is flat: to the sides of a line, or along it.
+    flat = replace(pairs, covariance_m2=np.full((2, 2, 2), 4.0))
+    np.testing.assert_array_equal(mahalanobis_squared(flat), [0.0, np.inf])
+    along = replace(flat, true_east_m=[0.0, 2.0], true_north_m=[5.0, 6.0])
+    np.testing.assert_array_equal(mahalanobis_squared(along), [0.0, np.inf])
 
 
 def test_bins_of_range_hold_every_pair_once() -> None:

@@ -259,17 +259,18 @@ def test_the_uncertainty_of_an_approach_is_that_of_draws() -> None:
 
 
 def test_a_track_alone_can_be_forecast() -> None:
-    rng = np.random.default_rng(2)
-    one = np.diag([4.0, 1.0])
+    # By its last point: the one before was faster, and less sure.
+    less = np.array([9.0, 1.0])[:, None, None]
     track = Track(
-        7, np.array([0.0, 1.0]), np.array([0.0, 3.0]), np.array([90.0, 90.0]), np.full(2, 3.0),
-        rng.normal(0.0, 1e-9, 2), np.tile(one, (2, 1, 1)), np.tile(0.25 * np.eye(2), (2, 1, 1)),
-        np.zeros(2, dtype=np.int8), PLANE, "ferry",
+        7, np.array([0.0, 1.0]), np.array([0.0, 3.0]), np.array([70.0, 90.0]),
+        np.array([9.0, 3.0]), np.array([5.0, 0.0]), less * np.diag([4.0, 1.0]),
+        less * 0.25 * np.eye(2), np.zeros(2, dtype=np.int8), PLANE, "ferry",
     )  # fmt: skip
     state = MotionState.of_track(track, STRAIGHT)
     forecast = state.forecast([10.0], track_id=track.track_id, label=track.label)
     assert (forecast.track_id, forecast.label, forecast.time_utc_s[0]) == (7, "ferry", 11.0)
     assert forecast.east_m[0] == pytest.approx(33.0, rel=0.02)
+    assert forecast.north_m[0] == pytest.approx(90.0, rel=0.02)
     # Var p + 2 t cov + t² var v, with the correlation of a steady state.
     expected = 4.0 + 2.0 * 10.0 * np.sqrt(0.5) * 2.0 * 0.5 + 100.0 * 0.25
     grown = STRAIGHT.straight_m2ps3 * 1000.0 / 3.0
