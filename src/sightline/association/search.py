@@ -1,4 +1,4 @@
-"""Which cameras could explain what is seen by what is logged: a vote over a coarse grid.
+"""Search for initial cameras: a Hough vote of observations and logs over a coarse grid.
 
 With the height of the camera, its focal length and the offset of its clock assumed, every foot of a
 box that is taken for a logged vessel says which heading and which pitch the camera has (its column
@@ -42,7 +42,7 @@ _SHORTEST_S = 3.0
 # How much heading and pitch may vary over a piece that a log explains, at least and at most.
 _TOLERANCE_DEG = np.array([0.4, 0.3])
 _LOOSEST_DEG = np.array([2.5, 1.2])
-# What stands still is explained by anything that stands still.
+# What is static is explained by anything that is static.
 _TOLD_BY_ANY = 1.5
 _CELL_PX = (16.0, 8.0)
 # Two cameras are told apart from here.
@@ -51,7 +51,7 @@ _APART_DEG = (8.0, 4.0)
 
 @dataclass(frozen=True, eq=False)
 class RecordingObservations:
-    """A recording: what is seen in it, and the logs of whatever may be in view.
+    """Observations of one recording, and the logs of whatever may be in view.
 
     Attributes:
         name: Of the recording.
@@ -73,7 +73,7 @@ class RecordingObservations:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A camera to start from.
+    """An initial camera with clock offsets.
 
     Attributes:
         vector: (9,) as in `sightline.camera.parameters.PARAMETERS`.
@@ -88,9 +88,9 @@ class Candidate:
 
 
 def clutter_per_px2(seen: TrackObservations, image_size_px: tuple[int, int]) -> FloatArray:
-    """(N,) how dense boxes lie where each observation lies, boxes a square pixel and moment.
+    """(N,) clutter density at each observation, boxes a square pixel and moment.
 
-    Over the whole recording, so that what stands still counts as clutter that was to be expected.
+    Over the whole recording, so that the static scene counts as clutter that was to be expected.
     """
     width, height = image_size_px
     shape = (int(np.ceil(width / _CELL_PX[0])), int(np.ceil(height / _CELL_PX[1])))
@@ -106,7 +106,7 @@ def clutter_per_px2(seen: TrackObservations, image_size_px: tuple[int, int]) -> 
 
 
 def offset_step_s(watches: Sequence[RecordingObservations]) -> float:
-    """How finely clocks are tried: more coarsely with a whole feed, whose many vessels vote."""
+    """Step of the clock offsets tried: coarser with a whole feed, whose many vessels vote."""
     few = max(len(watch.paths) for watch in watches) < 8
     return OFFSET_STEP_S if few else 2.0 * OFFSET_STEP_S
 
@@ -118,7 +118,7 @@ def candidates(
     largest_offset_s: float,
     count: int = 24,
 ) -> list[Candidate]:
-    """The cameras with the most votes, the best first, each unlike those before it.
+    """Cameras with the most votes, the best first, each unlike those before it.
 
     Args:
         watches: At least one.
@@ -221,7 +221,7 @@ def _vote(
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Short pieces of tracks, rows in the order of the piece.
+    """Short segments of tracks, rows in the order of the segment.
 
     Attributes:
         time_utc_s: (N,) float64.
@@ -281,7 +281,7 @@ def _pieces(seen: TrackObservations, image_size_px: tuple[int, int]) -> _Pieces:
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pieces and logs that may belong together, rows in the order of the pair.
+    """Track segments paired with logs that may match, rows in the order of the pair.
 
     Attributes:
         row: (K,) row of `_Pieces`.
@@ -310,7 +310,7 @@ class _Pairs:
 def _alike(
     pieces: _Pieces, paths: Sequence[ReferenceTrajectory], offset_s: float, width_px: int
 ) -> _Pairs:
-    """The pairs in which columns go with bearings as they do before some camera."""
+    """Segment-log pairs whose columns are consistent with the bearings of some camera."""
     count = np.diff(np.append(pieces.start, pieces.time_utc_s.size))
     rows, bearings, distances, sizes, weights, spreads = [], [], [], [], [], []
     number = np.repeat(np.arange(count.size), count)
@@ -355,7 +355,7 @@ def _alike(
 
 
 def _rays(distorted: FloatArray, k1: float) -> tuple[FloatArray, FloatArray]:
-    """Directions of pixels: angle across, radians clockwise, and level angle, radians downwards."""
+    """Angles of pixels: horizontal, radians clockwise, and vertical, radians downwards."""
     radius = np.hypot(distorted[:, 0], distorted[:, 1])
     scale = np.ones_like(radius)
     if k1:
