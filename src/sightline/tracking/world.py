@@ -1,4 +1,4 @@
-r"""Many targets on the earth's plane, where a model says where boxes lie.
+r"""Multi-target tracking in the local plane, with boxes located by a model.
 
 A target has a place and a velocity in metres, and a box in the image. From one frame to the next
 the image tells more: a pixel is worth metres far away, and nothing near the horizon has a
@@ -56,7 +56,7 @@ _MEASURED: Fields = [
 
 @dataclass(frozen=True)
 class WorldTrackerSettings(ImageTrackerSettings):
-    """How a `WorldTracker` follows targets.
+    """Settings of a `WorldTracker`.
 
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
@@ -84,7 +84,7 @@ class WorldTrackerSettings(ImageTrackerSettings):
 
 
 class WorldPlane:
-    """Image and earth together as a measurement model; see `Plane`.
+    """Image and local plane together as a measurement model; see `Plane`.
 
     Beside the columns of `ImagePlane` a state has ``place`` (N, 4), metres east and north and
     their velocities, ``doubt`` (N, 4, 4) their covariance, and ``placed`` (N,), 1 where they mean
@@ -94,7 +94,7 @@ class WorldPlane:
     def __init__(
         self, locate: Locate, settings: WorldTrackerSettings, platform: Platform | None = None
     ) -> None:
-        """Take the model.
+        """Take the function that locates boxes.
 
         Args:
             locate: Where boxes lie.
@@ -107,7 +107,7 @@ class WorldPlane:
         self._image = ImagePlane(settings)
 
     def measure(self, boxes: Boxes) -> Columns:
-        """What the image has, and ``line_of_sight`` (bearing, inverse range) with ``noise``.
+        """Measurements of the image, and ``line_of_sight`` (bearing, inverse range) with ``noise``.
 
         Both are from the camera, which is at ``camera_position``.
         """
@@ -140,7 +140,7 @@ class WorldPlane:
         return state
 
     def _fill_start(self, state: Columns, measured: Columns) -> None:
-        """Fill in what `start` has beside the image."""
+        """Fill in the columns of `start` beside those of the image."""
         state["place"][:, :2] = measured["en"]
         state["place"][:, 2:] = 0.0
         state["doubt"] = 0.0
@@ -174,7 +174,7 @@ class WorldPlane:
         return i[possible], j[possible], cost[possible]
 
     def _distance(self, state: Columns, measured: Columns, i: IntArray, j: IntArray) -> FloatArray:
-        """(P,) distance of pairs in bearing and inverse range, in standard deviations."""
+        """(P,) Mahalanobis distance of pairs in bearing and inverse range."""
         # All boxes are of one moment.
         expected, jacobian = _line_of_sight(state["place"][:, :2] - measured["camera_position"][:1])
         spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
@@ -201,7 +201,7 @@ class WorldPlane:
             state[new] = part
 
     def _update_places(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
-        """Correct the places of targets that have one by those of their boxes."""
+        """Kalman update of the positions of targets by those of their boxes."""
         place, doubt = state["place"], state["doubt"]
         expected, jacobian = _line_of_sight(place[:, :2] - measured["camera_position"])
         cross = doubt[:, :, :2] @ jacobian.transpose(0, 2, 1)
@@ -222,7 +222,7 @@ class WorldPlane:
         silent_s: FloatArray,  # noqa: ARG002 - the state knows how unsure it has become
         begun: Columns,
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """See `Plane`: place and velocity together."""
+        """See `Plane`: gated by position and velocity together."""
         i, j = np.nonzero((ended["placed"][:, None] > 0.0) & (begun["placed"][None, :] > 0.0))
         if not i.size:
             return i, j, np.empty(0)
@@ -237,7 +237,7 @@ class WorldPlane:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Where confirmed targets are now.
+    """Position and velocity estimates of confirmed targets.
 
     Attributes:
         time_utc_s: Now, POSIX seconds.
@@ -255,7 +255,7 @@ class Estimates:
 
 
 class WorldTracker(TargetTracker):
-    """Follows many targets on the earth's plane; see `Tracker`.
+    """Multi-target tracker in the local plane; see `Tracker`.
 
     Boxes without a position (above the horizon, or too far) are followed in the image alone. Ids
     start at 1, and belong to the instance.
@@ -279,7 +279,7 @@ class WorldTracker(TargetTracker):
         super().__init__(WorldPlane(locate, settings, platform), settings)
 
     def estimates(self) -> Estimates:
-        """Where the confirmed targets that have a place are, lost ones among them.
+        """Estimates of the confirmed targets that have a position, lost ones among them.
 
         `sightline.trajectory.forecast.MotionState.of_moments` moves them all on at once.
         """
@@ -297,7 +297,7 @@ class WorldTracker(TargetTracker):
 
 
 def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bearing (radians) and inverse range (1/m) of places, and their derivatives.
+    """Bearing (radians) and inverse range (1/m) of places, and their Jacobian.
 
     Args:
         en_m: (N, 2) metres.
@@ -317,21 +317,21 @@ def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _on_both_axes(matrix: FloatArray) -> FloatArray:
-    """(2, 2) of place and velocity along one axis, for both axes: (4, 4)."""
+    """Extend (2, 2) for position and velocity along one axis to both axes: (4, 4)."""
     out = np.zeros((4, 4))
     out[::2, ::2] = out[1::2, 1::2] = matrix
     return out
 
 
 def _residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
-    """(N, 2) differences, that of the bearing in (-pi, pi]."""
+    """(N, 2) residuals, that of the bearing wrapped to (-pi, pi]."""
     off = measured - expected
     off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi
     return np.asarray(off)
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
-    """(N, 2, 2) of (N, 2, 2) symmetric and positive definite."""
+    """(N, 2, 2) inverses of (N, 2, 2) symmetric and positive definite matrices."""
     a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
     determinant = a * c - b * b
     out = np.empty_like(matrices)
@@ -341,7 +341,7 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 
 def _squared(off: FloatArray, spread: FloatArray) -> FloatArray:
-    """(N,) squared Mahalanobis distances of (N, 2) under (N, 2, 2)."""
+    """(N,) squared Mahalanobis distances of (N, 2) under covariances (N, 2, 2)."""
     x, y = off.T
     a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
     return np.asarray((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))
