@@ -1,9 +1,9 @@
-r"""The Gaussian chain behind the smoother: its posterior, its likelihood, its value at any time.
+r"""Gauss-Markov chain of the smoother: posterior, likelihood and interpolation.
 
 A target moves with nearly constant velocity, driven by white acceleration of spectral density
 ``q`` (Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
-2001, section 6.2.2). Beside the target's state stand two numbers for the part of the measurement
-noise that lasts: Ornstein-Uhlenbeck processes of unit variance and time constant ``tau``. A node
+2001, section 6.2.2). Beside the target's state stand two numbers for the correlated measurement
+noise: Ornstein-Uhlenbeck processes of unit variance and time constant ``tau``. A node
 of the chain is ``(east, north, velocity east, velocity north, o_1, o_2)``.
 
 The posterior of a linear Gaussian chain has a block tridiagonal precision matrix. Its banded
@@ -58,7 +58,7 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """What drives the chain.
+    """Process noise and measurement noise of the chain.
 
     Attributes:
         q_m2ps3: Spectral density of the acceleration.
@@ -77,7 +77,7 @@ class Parameters:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The smoothed chain.
+    """Smoothed states of the chain.
 
     Attributes:
         time_s: (N,) float64.
@@ -150,7 +150,7 @@ class Posterior:
 
     @cached_property
     def _columns(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariance of two neighbouring nodes together, (8, N - 1) and (64, N - 1)."""
+        """Joint mean and covariance of neighbouring nodes, (8, N - 1) and (64, N - 1)."""
         mean = self.mean.T
         joint_mean = np.concatenate([mean[:, :-1], mean[:, 1:]])
         joint = np.empty((8, 8, self.time_s.size - 1))
@@ -160,7 +160,7 @@ class Posterior:
         return joint_mean, joint.reshape(64, -1)
 
     def position_at(self, time_s: FloatArray) -> FloatArray:
-        """Mean position (M, 2) at any times (M,), as `at` has it."""
+        """Mean position (M, 2) at any times (M,), as by `at`."""
         if self.time_s.size == 1:
             return self.mean[:, :2] + (time_s - self.time_s)[:, None] * self.mean[:, 2:]
         right = np.clip(np.searchsorted(self.time_s, time_s), 1, self.time_s.size - 1)
@@ -178,7 +178,7 @@ class Posterior:
         return out.T
 
     def acceleration_energy(self) -> tuple[FloatArray, FloatArray]:
-        """How hard the target accelerated between nodes, and how many draws that was seen from.
+        """Acceleration energy between nodes, and its effective number of draws.
 
         Returns:
             Two (N - 1,) arrays: the sum of squares of the smoothed changes, in units of a spectral
@@ -195,7 +195,7 @@ class Posterior:
 def _energy(
     lag_s: FloatArray, mean: FloatArray, own: FloatArray, cross: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Squares of the changes between nodes, in units of a spectral density of 1 m²/s³.
+    """Squared process noise between nodes, in units of a spectral density of 1 m²/s³.
 
     Args:
         lag_s: (N - 1,) between nodes.
@@ -230,7 +230,7 @@ def _transposed(matrices: FloatArray) -> FloatArray:
 
 
 def _weighted(weights: FloatArray, columns: FloatArray) -> FloatArray:
-    """Sum of columns (4, ..., M) with weights (4, M)."""
+    """Weighted sum of columns (4, ..., M) with weights (4, M)."""
     out: FloatArray = weights[0] * columns[0]
     for weight, column in zip(weights[1:], columns[1:], strict=True):
         out += weight * column
@@ -238,7 +238,7 @@ def _weighted(weights: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def _on_both_axes(matrices: FloatArray) -> FloatArray:
-    """(M, 2, 2) of position and velocity along one axis, for both axes: (M, 4, 4)."""
+    """Extend (M, 2, 2) for position and velocity along one axis to both: (M, 4, 4)."""
     out = np.zeros((matrices.shape[0], 4, 4))
     for axis in (0, 1):
         out[:, axis::2, axis::2] = matrices
@@ -255,14 +255,14 @@ def _transition(lag_s: FloatArray) -> FloatArray:
 
 
 def _diffusion(lag_s: FloatArray) -> FloatArray:
-    """Of the state after a lag, forwards or backwards in time, for a spectral density of 1."""
+    """Process noise after a lag, forwards or backwards in time, for a spectral density of 1."""
     span = np.abs(lag_s)
     crossed = lag_s * span / 2.0
     return _two_by_two(span**3 / 3.0, crossed, crossed, span)
 
 
 def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The state between two known ones: how it depends on them, and what stays unknown.
+    """Bridge between two known states: interpolation weights and residual covariance.
 
     Args:
         first_s: (M,) seconds since the one before.
@@ -297,7 +297,7 @@ def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Precision, right-hand side and constants of a chain of N nodes.
+    """Precision matrix, right-hand side and constants of a chain of N nodes.
 
     Attributes:
         band: (6, 9, N) lower diagonals: ``band[j, d, n]`` is the entry ``d`` below the diagonal
@@ -377,7 +377,7 @@ def _system(nodes: Nodes, parameters: Parameters) -> _System:
 
 
 def _factor(band: FloatArray) -> FloatArray:
-    """The banded Cholesky factor of rows (6 N, 9), each a column of the matrix."""
+    """Banded Cholesky factor of rows (6 N, 9), each a column of the matrix."""
     factor, info = dpbtrf(band.T, lower=1)
     if info != 0:
         raise np.linalg.LinAlgError(f"precision matrix is not positive definite at row {info}")
@@ -386,7 +386,7 @@ def _factor(band: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """The posterior of a chain, the nodes last.
+    """Posterior of a chain, the nodes last.
 
     Attributes:
         mean: (6, N).
@@ -433,7 +433,7 @@ def _solve(system: _System) -> _Solution:
 
 
 def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
-    """The posterior of position and velocity at the nodes."""
+    """Posterior of position and velocity at the nodes."""
     solution = _solve(_system(nodes, parameters))
     return Posterior(
         time_s=nodes.time_s,
@@ -509,7 +509,7 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
 
 
 def _lower_blocks(columns: FloatArray) -> FloatArray:
-    """(6, 6, N) diagonal blocks of a factor, of its columns (6, 9, N)."""
+    """(6, 6, N) diagonal blocks of a banded factor, from its columns (6, 9, N)."""
     out = np.zeros((STATE, STATE, columns.shape[2]))
     for j in range(STATE):
         out[j:, j] = columns[j, : STATE - j]
@@ -517,7 +517,7 @@ def _lower_blocks(columns: FloatArray) -> FloatArray:
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
-    """(6, 6, N) of symmetric positive definite (6, 6, N), which it overwrites: Gauss and Jordan."""
+    """Invert (6, 6, N) symmetric positive definite matrices in place (Gauss-Jordan)."""
     for p in range(STATE):
         row = matrices[p] / matrices[p, p]
         row[p] = 1.0 / matrices[p, p]
@@ -530,7 +530,7 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 
 def _cross(lower: FloatArray, columns: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(6, 6, N - 1) covariance of each node with the next.
+    """(6, 6, N - 1) cross-covariance of each node with the next.
 
     A node given the next has the mean ``-L⁻ᵀ Bᵀ x``, where L is its block of the factor, and B
     the one below it.
