@@ -1,4 +1,4 @@
-"""Stage 1: frames in, boxes out."""
+"""Stage 1: detection, frames in and boxes out."""
 
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge

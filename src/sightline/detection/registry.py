@@ -1,4 +1,4 @@
-"""Detectors by their names."""
+"""Detectors by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ENTRY_POINT_GROUP = "sightline.detectors"
 
 
 def check_detector_name(name: str | Detector) -> None:
-    """Refuse what names no detector, without loading one.
+    """Raise InputError for an unknown detector name, without loading one.
 
     Raises:
         InputError: The name is none of `DETECTORS`, no ONNX file's, and no other package's.
@@ -38,7 +38,7 @@ def detector_by_name(
     horizon_px: tuple[float, float] | None = None,
     options: DetectorOptions | None = None,
 ) -> Detector:
-    """A new detector by its name, or one's own, which forgets what it saw.
+    """A new detector by its name; an object is reset and returned.
 
     Args:
         name: One of `DETECTORS`, the path of an ONNX file, a name that another package registers
