@@ -1,4 +1,4 @@
-"""Libraries that the base installation does without."""
+"""Optional libraries, which come with extras."""
 
 from __future__ import annotations
 

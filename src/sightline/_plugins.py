@@ -1,4 +1,4 @@
-"""What other packages register: detectors, trackers, trajectory methods and models by name."""
+"""Plugins: detectors, trackers, trajectory methods and models that other packages register."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sightline.errors import InputError
 
 
 def registered(group: str) -> dict[str, EntryPoint]:
-    """The entry points of a group by their names; nothing of them is imported before it is used.
+    """Entry points of a group by their names; none is imported before it is used.
 
     Args:
         group: ``"sightline.models"`` or the like.
@@ -18,7 +18,7 @@ def registered(group: str) -> dict[str, EntryPoint]:
 
 
 def loaded(point: EntryPoint) -> Any:
-    """What an entry point names.
+    """Load the object that an entry point names.
 
     Raises:
         InputError: It cannot be imported; the message names the package that registered it.

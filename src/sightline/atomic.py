@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic files: they appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sightline.errors import InputError
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends well.
+    """Temporary path beside ``path`` that replaces it when the block ends well.
 
     The temporary file lies in the same folder, so that the replacement is one step of the file
     system, and ends in the same suffix, so that libraries that pick a format by it are not misled.
@@ -70,7 +70,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def _poured_into(special: Path) -> Iterator[Path]:
-    """A temporary path whose content a device or a pipe gets when the block ends well."""
+    """Temporary path whose content is copied to a device or a pipe when the block ends well."""
     with tempfile.TemporaryDirectory() as folder:
         temporary = Path(folder) / f"whole{special.suffix}"
         temporary.touch()
@@ -89,7 +89,7 @@ def _umask() -> int:
 
 
 def _concerns(error: OSError, final: Path, temporary: Path | None) -> bool:
-    """Whether a failure is of this file: reading another file in the block may fail as well."""
+    """Whether an error is of this file: reading another file in the block may fail as well."""
     if error.filename is None or temporary is None:
         return True
     named = Path(os.fsdecode(error.filename))

@@ -1,4 +1,4 @@
-"""Frame numbers -> UTC: from presentation times, from stamps, or from a clock read too seldom.
+"""Clocks from frame numbers to UTC: presentation times, stamps, or a clock read rarely.
 
 Nothing here divides a frame number by a frame rate: cameras drop frames and change their rate.
 """
@@ -26,7 +26,7 @@ _LAPSE = 0.001
 
 
 class Clock(Protocol):
-    """What tells the time of a frame."""
+    """Protocol of a clock that tells the time of a frame."""
 
     def time_utc_s(self, frame: ArrayLike) -> FloatArray:
         """POSIX seconds of frames.
@@ -46,7 +46,7 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FrameClock:
-    """Times known at some frames, and straight lines between them.
+    """Piecewise linear clock through times known at some frames.
 
     Attributes:
         frame: (K,) int64, strictly increasing.
@@ -90,7 +90,7 @@ class FrameClock:
 
 
 def presentation_clock(start_utc_s: float, presentation_s: ArrayLike) -> FrameClock:
-    """The clock of a video whose first frame was taken at a known time.
+    """Clock of a video whose first frame was taken at a known time.
 
     Args:
         start_utc_s: POSIX seconds of the first frame.
@@ -101,7 +101,7 @@ def presentation_clock(start_utc_s: float, presentation_s: ArrayLike) -> FrameCl
 
 
 def stamped_clock(frame: ArrayLike, stamp_utc_s: ArrayLike) -> FrameClock:
-    """The clock of a video whose frames carry stamps.
+    """Clock of a video whose frames carry time stamps.
 
     Stamps that differ from frame to frame are taken as they are. Stamps that stay the same over
     several frames and then step come from a clock that was read seldom or that shows few digits;
@@ -138,7 +138,7 @@ def _refuse(bad: np.ndarray, frames: IntArray, why: str) -> None:
 
 
 def stepped_clock(frame: IntArray, stamp_utc_s: FloatArray) -> FrameClock:
-    """The times behind a clock that moves in steps.
+    """Clock reconstructed from one that advances in steps.
 
     A stamp is the true time cut off to the clock's resolution (a second, say), and the first
     frame that carries it is the one at which the clock was read. Two kinds are told apart by
@@ -197,14 +197,14 @@ def stepped_clock(frame: IntArray, stamp_utc_s: FloatArray) -> FrameClock:
 
 
 def _wander(rate: FloatArray) -> float:
-    """How much a rate changes from one step to the next, relative to itself, root mean square."""
+    """Relative change of the clock rate from one step to the next, root mean square."""
     if rate.size < 2:
         return 0.1
     return float(np.sqrt(np.mean((np.diff(rate) / rate[:-1]) ** 2)))
 
 
 def _resolution_s(stamp_utc_s: FloatArray) -> float:
-    """The coarsest unit of which all stamps are multiples, seconds."""
+    """Resolution of time stamps: the coarsest unit of which all are multiples, seconds."""
     for unit in _RESOLUTIONS_S:
         multiples = stamp_utc_s / unit
         # Stamps near 1.6e9 s are known to a quarter of a microsecond.
@@ -216,7 +216,7 @@ def _resolution_s(stamp_utc_s: FloatArray) -> float:
 def _cut_off_s(
     stamp_s: FloatArray, resolution_s: float, late_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """What truncation took from regular readings of a clock.
+    """Truncation error of regular readings of a clock, seconds.
 
     The readings follow a timer of unknown period, so what is cut off changes from one to the next
     by the period less the difference of the stamps, and by a little wander, since a reading waits

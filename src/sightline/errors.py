@@ -1,4 +1,4 @@
-"""The errors that are the user's to mend, all under one root."""
+"""Errors that the user can mend, all under one root."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Latitude and longitude <-> metres in a local plane, and from UTM: all that knows the earth."""
+"""Geodesy: latitude and longitude <-> metres in a local plane, and from UTM."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _projection(latitude_deg: float, longitude_deg: float) -> pyproj.Proj:
 
 
 def check_geographic(latitude_deg: ArrayLike, longitude_deg: ArrayLike, where: str = "") -> None:
-    """Refuse coordinates that are no place on the earth.
+    """Raise InputError for coordinates that are no place on the earth.
 
     Args:
         latitude_deg: (N,) degrees north.

@@ -1,4 +1,4 @@
-"""How far boxes in a picture overlap.
+"""Overlap of boxes: area, intersection over union, and its generalisation.
 
 All of it takes boxes ``x1, y1, x2, y2`` along the last axis, of shapes that broadcast against each
 other: (N, 4) against (N, 4) row by row, (N, 1, 4) against (M, 4) each with each.
@@ -15,7 +15,7 @@ _LEAST_PX2 = 1e-12
 
 
 def shared_area(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Area that boxes share, square pixels."""
+    """Area of intersection of boxes, square pixels."""
     low = np.maximum(first[..., :2], second[..., :2])
     high = np.minimum(first[..., 2:], second[..., 2:])
     return np.asarray(np.maximum(high - low, 0.0).prod(axis=-1))

@@ -1,4 +1,4 @@
-"""A camera that stands on something that moves: where it was, where it pointed, how it lay.
+"""A moving platform that carries the camera: its positions, headings and their errors.
 
 Three frames meet here:
 
@@ -59,7 +59,7 @@ _LEAST_COURSE_SIGMAS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a platform was at N times, and where its bow pointed.
+    """Position and heading of a platform at N times.
 
     Attributes:
         en_m: (N, 2) float64, east and north of a plane's origin; NaN where the log does not tell.
@@ -83,13 +83,13 @@ class Pose:
 
     @property
     def known(self) -> BoolArray:
-        """(N,) whether place and heading are known."""
+        """(N,) whether position and heading are known."""
         return np.isfinite(self.en_m[:, 0]) & np.isfinite(self.heading_rad)
 
 
 @dataclass(frozen=True, eq=False)
 class Platform:
-    """What a platform logged of itself.
+    """Position log and headings of a platform.
 
     Attributes:
         fixes: Where it was.
@@ -101,7 +101,7 @@ class Platform:
     headings: Headings | None = None
 
     def pose(self, time_utc_s: ArrayLike, plane: LocalPlane, *, until_then: bool = False) -> Pose:
-        """Where the platform was.
+        """Pose of the platform at given times.
 
         Args:
             time_utc_s: (N,) POSIX seconds.
@@ -145,7 +145,7 @@ class Platform:
         )
 
     def _course(self, times: FloatArray, plane: LocalPlane) -> tuple[FloatArray, FloatArray]:
-        """The course made good over some seconds, which is the heading but for drift."""
+        """Course over ground over some seconds, as the heading but for drift."""
         log = distinct(self.fixes)
         east, north = plane.to_plane(log.latitude_deg, log.longitude_deg)
         half = 0.5 * _COURSE_SPAN_S
@@ -165,7 +165,7 @@ class Platform:
 
 
 def _course_of(velocity_mps: FloatArray, sigma_mps: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The course of velocities (N, 2) that are so unsure (N,), NaN where it says too little."""
+    """Courses of velocities (N, 2) with errors (N,); NaN where too slow to tell."""
     speed = np.hypot(*velocity_mps.T)
     told = speed > _LEAST_COURSE_SIGMAS * sigma_mps
     sigma = np.divide(sigma_mps, speed, out=np.full(speed.shape, np.nan), where=told)
@@ -174,7 +174,7 @@ def _course_of(velocity_mps: FloatArray, sigma_mps: FloatArray) -> tuple[FloatAr
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """The way of a platform by its log: place and velocity at each fix, smoothed and until then.
+    """Filtered and smoothed position and velocity of a platform, at each fix of its log.
 
     Along either axis it goes with constant velocity under white acceleration, and its receiver is
     off by a Gauss-Markov process: a Kalman filter of place, velocity and that error, and the
@@ -225,7 +225,7 @@ class _Way:
         return cls(log.time_utc_s, time_s, mean, covariance, smooth, spread, float(best[0]))
 
     def told(self, times: FloatArray) -> BoolArray:
-        """(M,) whether there are fixes on both sides that are near enough to each other."""
+        """(M,) whether there are fixes near enough in time on both sides."""
         log_s = self.log_s
         if log_s.size == 0:
             return np.zeros(times.size, dtype=bool)
@@ -235,7 +235,7 @@ class _Way:
         return np.asarray(inside & (log_s[after] - log_s[before] <= LARGEST_GAP_S))
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Place and velocity (M, 2, 2) by all fixes, and covariances (M, 2, 2).
+        """Smoothed position and velocity (M, 2, 2), and covariances (M, 2, 2).
 
         Between two fixes the expected way is the cubic through both with their velocities.
         """
@@ -257,7 +257,7 @@ class _Way:
         return np.stack([place, speed], axis=1), first + weight * (last - first)
 
     def until(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The same by the fixes until each time; before the first, by that."""
+        """Filtered position and velocity at given times; before the first fix, by that."""
         last = np.maximum(np.searchsorted(self.time_s, times, side="right") - 1, 0)
         lag = np.maximum(times - self.time_s[last], 0.0)
         step = np.tile(np.eye(2), (times.size, 1, 1))
@@ -271,7 +271,7 @@ class _Way:
 # The way is asked for with each track and each moment, and takes a while for a long log.
 @lru_cache(maxsize=8)
 def _unwrapped(headings: Headings) -> FloatArray:
-    """(N,) radians, without steps of a whole turn."""
+    """(N,) unwrapped angles, radians."""
     return np.unwrap(np.radians(headings.heading_deg))
 
 
@@ -281,7 +281,7 @@ def _way(platform: Platform, plane: LocalPlane) -> _Way:
 
 
 def _apart(time_s: FloatArray) -> IntArray:
-    """Rows of times of which none follows the one before too closely."""
+    """Indices of times, thinned to a least interval."""
     kept: list[int] = []
     last_s = -np.inf
     for i, now_s in enumerate(time_s.tolist()):
@@ -292,7 +292,7 @@ def _apart(time_s: FloatArray) -> IntArray:
 
 
 def _busiest(en_m: FloatArray) -> slice:
-    """The stretch of so many fixes in which the platform went furthest."""
+    """The window of so many fixes in which the platform went furthest."""
     gone = np.append(0.0, np.cumsum(np.hypot(*np.diff(en_m, axis=0).T)))
     starts = np.arange(0, max(1, len(en_m) - _LEARNED_FROM + 1), _LEARNED_FROM // 4)
     ends = np.minimum(starts + _LEARNED_FROM, len(en_m)) - 1
@@ -301,7 +301,7 @@ def _busiest(en_m: FloatArray) -> slice:
 
 
 def _moves(lag_s: float, acceleration_m2ps3: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(3, 3) how place, velocity and error move on, and (K, 3, 3) the noise that they pick up."""
+    """(3, 3) transition of position, velocity and error, and (K, 3, 3) process noise."""
     kept = np.exp(-lag_s / _RECEIVER_CORRELATION_TIME_S)
     step = np.diag([1.0, 1.0, kept])
     step[0, 1] = lag_s
@@ -315,7 +315,7 @@ def _moves(lag_s: float, acceleration_m2ps3: FloatArray) -> tuple[FloatArray, Fl
 def _followed(
     time_s: FloatArray, en_m: FloatArray, acceleration_m2ps3: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Filter a log under K accelerations.
+    """Kalman filter of a log under K accelerations.
 
     Returns:
         (K,) the log-likelihoods, (N, K, 3, 2) the states, and (N, K, 3, 3) their covariances.
@@ -347,7 +347,7 @@ def _followed(
 
 
 def to_bow(en_m: FloatArray, pose: Pose) -> FloatArray:
-    """Places of the earth's plane as the platform saw them.
+    """Transform places from the local plane to the platform's body frame.
 
     Args:
         en_m: (N, 2) metres east and north.
@@ -360,14 +360,14 @@ def to_bow(en_m: FloatArray, pose: Pose) -> FloatArray:
 
 
 def turned(en_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
-    """East and north (N, 2) as to the right and ahead of a heading (N,)."""
+    """Rotate vectors east and north (N, 2) to starboard and ahead of a heading (N,)."""
     sine, cosine = np.sin(heading_rad), np.cos(heading_rad)
     east, north = en_m.T
     return np.stack([cosine * east - sine * north, sine * east + cosine * north], axis=1)
 
 
 def north_up(positions: BodyPositions, pose: Pose) -> PlatformPositions:
-    """Positions in the body frame, turned so that north is up.
+    """Rotate positions from the body frame to north up.
 
     What the heading is off swings a place about the platform; a target has that in common with
     itself a moment later, as it has what the platform's log is off.
@@ -414,7 +414,7 @@ def north_up(positions: BodyPositions, pose: Pose) -> PlatformPositions:
 
 
 def moved_positions(positions: PlatformPositions, pose: Pose) -> Positions:
-    """Positions about the platform (`north_up`) in the earth's plane."""
+    """Translate positions about the platform (`north_up`) to the local plane."""
     return Positions(
         east_m=positions.east_m + pose.en_m[:, 0],
         north_m=positions.north_m + pose.en_m[:, 1],
@@ -426,12 +426,12 @@ def moved_positions(positions: PlatformPositions, pose: Pose) -> Positions:
 
 
 def on_earth(positions: BodyPositions, pose: Pose) -> Positions:
-    """Positions in the body frame, starboard and ahead, in the earth's plane."""
+    """Transform positions from the body frame to the local plane."""
     return moved_positions(north_up(positions, pose), pose)
 
 
 def moved_track(track: Track, pose: Pose) -> Track:
-    """A track about the platform (`north_up`) in the earth's plane.
+    """Translate a track about the platform (`north_up`) to the local plane.
 
     Args:
         track: N points, their velocities those at which the target moves away from the platform.

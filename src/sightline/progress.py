@@ -1,4 +1,4 @@
-"""How the library tells of progress on long work."""
+"""Callback for the progress of long work."""
 
 from __future__ import annotations
 

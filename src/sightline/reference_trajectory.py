@@ -1,4 +1,4 @@
-"""Where logged vessels were at any time, for many vessels and many times at once."""
+"""Reference trajectories of logged vessels, for many vessels and many times at once."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _UNTOLD_MPS2 = 0.02
 
 @dataclass(frozen=True, eq=False)
 class ReferenceStates:
-    """Places of one vessel at given times.
+    """Positions and velocities of one vessel at given times.
 
     Attributes:
         east_north_m: (N, 2) float64, metres; NaN where the log does not tell.
         velocity_mps: (N, 2) float64, east and north; NaN likewise.
-        sigma_m: (N,) float64, how far interpolation may be off, metres; 0 on a fix.
+        sigma_m: (N,) float64, standard deviation of the interpolation, metres; 0 on a fix.
     """
 
     east_north_m: FloatArray
@@ -35,7 +35,7 @@ class ReferenceStates:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceTrajectory:
-    """The log of one vessel as a path in the plane.
+    """Trajectory of one logged vessel in the plane.
 
     Between two fixes that tell course and speed the path is the cubic that has those velocities at
     its ends (Hermite), otherwise a straight line.
@@ -56,7 +56,7 @@ class ReferenceTrajectory:
     def of(
         cls, fixes: Fixes, plane: LocalPlane, velocity_mps: FloatArray | None = None
     ) -> ReferenceTrajectory:
-        """The path of a log.
+        """The trajectory of a log.
 
         Args:
             fixes: The log.
@@ -72,7 +72,7 @@ class ReferenceTrajectory:
         return cls(fixes.name, times, place[first], np.asarray(velocity_mps, dtype=float)[first])
 
     def at(self, time_utc_s: ArrayLike) -> ReferenceStates:
-        """Where the vessel was.
+        """Interpolate the trajectory at given times.
 
         Args:
             time_utc_s: (N,) POSIX seconds.

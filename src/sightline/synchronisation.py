@@ -1,4 +1,4 @@
-"""Where a logged target was at any time: interpolation of a log, and how far to trust it."""
+"""Synchronisation: a log interpolated to given times, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LARGEST_GAP_S = 8.0
 
 @dataclass(frozen=True, eq=False)
 class Synchronised:
-    """The place of a logged target at given times.
+    """Positions of a logged target at given times.
 
     Attributes:
         east_m: (N,) float64, metres east of the plane's origin; NaN where not matched.
@@ -35,17 +35,17 @@ class Synchronised:
 
     @property
     def matched(self) -> BoolArray:
-        """(N,) bool, True where there is a position."""
+        """(N,) bool, whether there is a position."""
         return np.isfinite(self.east_m)
 
     @property
     def share(self) -> float:
-        """The share of the times that are matched, 0 to 1; NaN for no times."""
+        """Share of the times that are matched, 0 to 1; NaN for no times."""
         return float(self.matched.mean()) if self.matched.size else float("nan")
 
 
 def distinct(fixes: Fixes) -> Fixes:
-    """One fix a time.
+    """Fixes with distinct times.
 
     A log that keeps whole seconds and writes several fixes under one of them has cut off the
     fractions: its fixes are spread evenly over their second, in their order. In a log with
@@ -118,7 +118,7 @@ def synchronise(
 
 
 def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
-    """Refuse a log that has nothing to do with a recording.
+    """Raise InputError where a log does not overlap a recording in time.
 
     Args:
         time_utc_s: (N,) POSIX seconds of the recording's boxes or frames.

@@ -1,4 +1,4 @@
-"""A set of tracks, as the pipeline hands it over."""
+"""A set of tracks, with its files."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Tracks:
         return self.tracks[index]
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write them in the format that the file's ending names; see `sightline.formats`.
+        """Write the tracks in the format that the file's suffix names; see `sightline.formats`.
 
         Raises:
             InputError: The ending is unknown, an extra is missing, or the file cannot be written.
@@ -55,7 +55,7 @@ class Tracks:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], *, plane: LocalPlane | None = None) -> Tracks:
-        """The tracks of a file; see `sightline.formats.read_tracks`.
+        """Read the tracks of a file; see `sightline.formats.read_tracks`.
 
         Args:
             path: A GeoJSON, GPX, CSV, Parquet or GeoPackage file.
@@ -72,5 +72,5 @@ class Tracks:
         return cls(read_tracks(path, plane=plane))
 
     def to_dataframe(self) -> pd.DataFrame:
-        """All points of all tracks, a row a point; ``time_utc`` knows that it is UTC."""
+        """All points of all tracks as a table; ``time_utc`` is aware of UTC."""
         return track_table(self.tracks)

@@ -1,4 +1,4 @@
-"""What travels between the stages: frozen tables of columns, checked where they are made.
+"""Data types passed between the stages: frozen tables of columns, validated where they are made.
 
 Conventions, said once:
 
@@ -38,7 +38,7 @@ NO_FRAME = -1
 
 
 def to_datetime64(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:
-    """POSIX seconds as ``datetime64[ns]``; NaN becomes NaT."""
+    """Convert POSIX seconds to ``datetime64[ns]``; NaN becomes NaT."""
     seconds = np.asarray(time_utc_s, dtype=float)
     known = np.isfinite(seconds)
     whole = np.floor(np.where(known, seconds, 0.0))
@@ -50,7 +50,7 @@ def to_datetime64(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:
 
 
 def from_datetime64(time_utc: ArrayLike) -> FloatArray:
-    """``datetime64`` of any unit, taken as UTC, as POSIX seconds; NaT becomes NaN."""
+    """Convert ``datetime64`` of any unit, taken as UTC, to POSIX seconds; NaT becomes NaN."""
     stamps = np.asarray(time_utc).astype("datetime64[ns]")
     nanoseconds = stamps.astype(np.int64)
     seconds = nanoseconds // 1_000_000_000 + (nanoseconds % 1_000_000_000) * 1e-9
@@ -58,19 +58,19 @@ def from_datetime64(time_utc: ArrayLike) -> FloatArray:
 
 
 def utc_text(time_utc_s: float) -> str:
-    """A finite time to the second, as people read it: ``2024-06-01 10:00:00``."""
+    """Format a finite time to the second, as people read it: ``2024-06-01 10:00:00``."""
     return str(np.datetime_as_string(to_datetime64(time_utc_s), "s")).replace("T", " ")
 
 
 def rfc3339(time_utc_s: float) -> str:
-    """A finite time to the second: ``2024-06-01T10:00:00Z``."""
+    """Format a finite time to the second: ``2024-06-01T10:00:00Z``."""
     return f"{np.datetime_as_string(to_datetime64(time_utc_s), 's')}Z"
 
 
 def _column(
     table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """A copy of the values as a column, or an error that names it."""
+    """Convert values to a column; raise an error that names it where they do not fit."""
     array = np.array(values, dtype=dtype)
     if array.shape != shape:
         raise InputError(f"{type(table).__name__}.{name} has shape {array.shape}, expected {shape}")
@@ -84,7 +84,7 @@ def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[i
 
 
 class Columns:
-    """What the tables share: selection of rows."""
+    """Base class of the tables: selection of rows."""
 
     _row_fields: tuple[str, ...] = ()
 
@@ -92,7 +92,7 @@ class Columns:
     """Whether rows of such a table, whichever and in whatever order, are one again."""
 
     def __getitem__(self, rows: Any) -> Self:
-        """The rows that an index array, a mask or a slice selects, as a new table.
+        """The rows selected by an index array, a mask or a slice, as a new table.
 
         What a slice selects stays where it is, as in an array; the rest is copied.
         """
@@ -103,7 +103,7 @@ class Columns:
         return replace(self, **chosen)  # type: ignore[type-var]
 
     def _unchecked(self, columns: Mapping[str, NDArray[Any]]) -> Self:
-        """This table with other columns, which are known to hold what it promises.
+        """Copy the table with other columns, without validation.
 
         What came in over a border was checked there; checking it again with each selection took
         longer than the work on it.
@@ -135,7 +135,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Boxes(Columns):
-    """Boxes in the image, one a row, in any order.
+    """Bounding boxes in the image, one a row, in any order.
 
     Attributes:
         xyxy_px: (N, 4) float64, ``x1, y1, x2, y2``; finite, x1 < x2, y1 < y2.
@@ -247,7 +247,7 @@ class Boxes(Columns):
 
     @classmethod
     def concatenate(cls, tables: Sequence[Boxes]) -> Boxes:
-        """One table with the rows of all, in their order, located if all of them are."""
+        """Concatenate tables in their order, located if all of them are."""
         if not tables:
             return cls.of(np.empty((0, 4)))
         return (type(tables[0]) if len({*map(type, tables)}) == 1 else Boxes)._joined(tables)
@@ -288,7 +288,7 @@ def _joined_columns(tables: Sequence[Any], names: Sequence[str]) -> dict[str, ND
 
 
 def check_boxes(xyxy_px: FloatArray) -> None:
-    """Refuse boxes that are none.
+    """Raise InputError for non-finite or empty boxes.
 
     Args:
         xyxy_px: (N, 4) pixels.
@@ -318,7 +318,7 @@ def _row(values: FloatArray) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Fixes(Columns):
-    """The log of one vessel or vehicle: where it was, in the order of time.
+    """Position log of one vessel or vehicle, in the order of time.
 
     Attributes:
         time_utc_s: (N,) float64, finite, never decreasing. Logs that keep whole seconds repeat
@@ -370,7 +370,7 @@ class Fixes(Columns):
 
 @dataclass(frozen=True, eq=False)
 class Headings(Columns):
-    """Where the bow of a platform pointed, in the order of time.
+    """Headings of a platform, in the order of time.
 
     Attributes:
         time_utc_s: (N,) float64, finite, strictly increasing, at least two.
@@ -464,7 +464,7 @@ class ControlPoints(Columns):
 
 @dataclass(frozen=True, eq=False)
 class EastNorthPositions(Columns):
-    """Metres east and north of an origin, with covariance, one row a box.
+    """Positions east and north of an origin, metres, with covariance, one row a box.
 
     What the origin is, the two types that are made of it say: `Positions` and `PlatformPositions`.
 
@@ -498,18 +498,18 @@ class EastNorthPositions(Columns):
 
     @property
     def known(self) -> BoolArray:
-        """(N,) bool, True where there is a position."""
+        """(N,) bool, whether there is a position."""
         return np.isfinite(self.east_m)
 
     @property
     def range_m(self) -> FloatArray:
-        """(N,) metres from the origin."""
+        """(N,) ranges from the origin, metres."""
         return np.hypot(self.east_m, self.north_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Positions(EastNorthPositions):
-    """Where boxes lie on the earth: east and north of the origin of a `LocalPlane`.
+    """Positions of boxes on the earth: east and north of the origin of a `LocalPlane`.
 
     Examples:
         Of two boxes, the second lies in the sky:
@@ -535,7 +535,7 @@ class Positions(EastNorthPositions):
 
 @dataclass(frozen=True, eq=False)
 class PlatformPositions(EastNorthPositions):
-    """Where boxes lie relative to a platform that moves: east and north of it.
+    """Positions of boxes relative to a moving platform: east and north of it.
 
     They have no latitude before they are moved to where the platform was.
     """
@@ -543,7 +543,7 @@ class PlatformPositions(EastNorthPositions):
 
 @dataclass(frozen=True, eq=False)
 class BodyPositions(Columns):
-    """Where boxes lie in the body frame of a platform: to starboard and ahead of it.
+    """Positions of boxes in the body frame of a platform: to starboard and ahead of it.
 
     They have no latitude before it is known where the platform was and how it pointed.
 
@@ -579,7 +579,7 @@ class BodyPositions(Columns):
 
     @property
     def known(self) -> BoolArray:
-        """(N,) bool, True where there is a position."""
+        """(N,) bool, whether there is a position."""
         return np.isfinite(self.starboard_m)
 
 
@@ -596,7 +596,7 @@ def _freeze_places(table: Any, first: str, second: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class BoxesWith(Boxes):
-    """Boxes with a table of as many rows that goes with them.
+    """Boxes with a companion table of as many rows.
 
     Selection and concatenation take it along. A subclass has the table as its one field more.
     """
@@ -611,7 +611,7 @@ class BoxesWith(Boxes):
 
     @classmethod
     def at(cls, boxes: Boxes, table: Any) -> Self:
-        """Boxes with their table.
+        """Boxes with their companion table.
 
         Args:
             boxes: N rows.
@@ -641,7 +641,7 @@ class BoxesWith(Boxes):
         return joined  # type: ignore[no-any-return]
 
     def with_columns(self, **columns: ArrayLike) -> Boxes:
-        """See `Boxes`; the table is left behind where it holds no longer."""
+        """See `Boxes`; the companion table is dropped where it holds no longer."""
         if columns.keys() & self._stale_with:
             return self.boxes.with_columns(**columns)
         return super().with_columns(**columns)
@@ -674,7 +674,7 @@ class LocatedBoxes(BoxesWith):
 
 
 class PointKind(IntEnum):
-    """How a point of a track came about."""
+    """Kind of a point of a track: measured, interpolated or extrapolated."""
 
     MEASURED = 0
     INTERPOLATED = 1
@@ -683,7 +683,7 @@ class PointKind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Track(Columns):
-    """The smooth path of one target, one row a point in time.
+    """Smooth trajectory of one target, one row a point in time.
 
     Attributes:
         track_id: Its number.
@@ -789,7 +789,7 @@ class Ellipses:
 
 
 def ellipses(covariance_m2: FloatArray, probability: float = 0.95) -> Ellipses:
-    """The ellipses that hold the true position with a probability, under a normal distribution.
+    """Error ellipses that hold the true position with a probability, under a normal distribution.
 
     Args:
         covariance_m2: (N, 2, 2) square metres, east and north.
@@ -808,7 +808,7 @@ def ellipses(covariance_m2: FloatArray, probability: float = 0.95) -> Ellipses:
 
 
 def check_inside(boxes: Boxes, size_px: tuple[int, int], where: str = "") -> None:
-    """Refuse boxes that have nothing to do with a picture.
+    """Raise InputError for boxes wholly outside the image.
 
     Args:
         boxes: The boxes.

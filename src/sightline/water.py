@@ -1,4 +1,4 @@
-"""How high the water stands, before a camera that does not rise with it.
+"""Water levels over time, below a camera at a fixed height.
 
 The model of a camera knows its height above a datum, and the water is where a gauge or a table of
 tides says: a metre of tide under a camera four metres high is a quarter of every range.
@@ -26,7 +26,7 @@ _LONGEST_GAP_S = 8.0 * 3600.0
 
 @dataclass(frozen=True, eq=False)
 class WaterLevels:
-    """How high the water stood above the datum that all recordings of a camera have in common.
+    """Water levels above the datum that all recordings of a camera share.
 
     Attributes:
         time_utc_s: (N,) float64, strictly increasing; of a single level it does not matter.
@@ -52,11 +52,11 @@ class WaterLevels:
 
     @classmethod
     def constant(cls, level_m: float) -> WaterLevels:
-        """The same level at all times."""
+        """A constant water level."""
         return cls(np.zeros(1), np.array([level_m]))
 
     def at(self, time_utc_s: ArrayLike) -> FloatArray:
-        """(N,) metres above the datum.
+        """(N,) water levels at times, metres above the datum.
 
         Between rows up to an hour apart the level goes straight. Rows further apart are taken for
         high and low water, between which a tide follows half a cosine.

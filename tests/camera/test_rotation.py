@@ -259,7 +259,7 @@ def test_a_fit_takes_the_turn_of_a_recording_off_its_boxes(world: World) -> None
         camera = replace(world.scene.camera, compensate_rotation=watched)
         fitted = sightline.fit(replace(world.scene, camera=camera), "camera")
         said = " ".join(fitted.report.statements)
-        assert ("was turned" in said) == watched
+        assert ("was rotated" in said) == watched
         assert fitted.camera is not None
         return fitted.report.rmse_m
 
@@ -278,7 +278,7 @@ def test_a_fit_to_drawn_boxes_does_without_a_video_that_cannot_be_read(
         fitted.regressor.fit_.vector, world.model.regressor.fit_.vector, rtol=1e-6
     )
     (warning,) = caplog.messages
-    assert warning.startswith("nobody can tell whether the camera was turned: ")
+    assert warning.startswith("nothing tells whether the camera was rotated: ")
     assert "\n" not in warning
 
 
@@ -319,7 +319,7 @@ def test_a_knock_turns_the_simulated_camera_and_the_sky_stays(world: World) -> N
 def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_dir: Path) -> None:
     scene = Scene.load(data_dir / "tracks-at-sea" / "scene.toml")
     fitted = sightline.fit(scene, "camera")
-    (said,) = [s for s in fitted.report.statements if "was turned" in s]
+    (said,) = [s for s in fitted.report.statements if "was rotated" in s]
     # It was knocked in recording 08; 18 and 19 are the earliest.
     assert "recordings 06, 07, 08, 18, 19 it" in said
     unwatched = replace(scene, camera=replace(scene.camera, compensate_rotation=False))

@@ -45,7 +45,7 @@ def test_a_new_day_improves_a_model_and_tells_whether_the_camera_was_turned(tmp_
     assert after["height_m"] < before["height_m"]
     other = day(tmp_path / "third", harbour, turned_px=focal_px * np.tan(np.radians(1.0)))
     turned = update_scene(other, old)
-    assert "was turned" in turned.report.statements[0]
+    assert "was rotated" in turned.report.statements[0]
     assert turned.camera is not None
     assert old.camera is not None
     change = turned.camera.heading_deg - old.camera.heading_deg
@@ -81,7 +81,7 @@ def test_pictures_tell_a_tenth_of_a_degree_of_roll_between_two_days(bay):
     scene, after = bay
     before = update_scene(scene.select(["07"]), after)
     said = before.report.statements[0]
-    assert said.startswith("The camera was turned: in recording 07, by its pictures, from its")
+    assert said.startswith("The camera was rotated: in recording 07, by its pictures, from its")
     roll_deg = float(said.split(" in roll")[0].split(" ± ")[-2].split()[-1])
     assert roll_deg == pytest.approx(-0.1, abs=0.03)
     same = update_scene(scene.select(["21"]), after)
@@ -99,5 +99,5 @@ def test_boxes_that_contradict_pictures_are_told_of(bay, tmp_path):
     write_boxes(boxes.with_columns(xyxy_px=corners), tmp_path / "b.csv")
     lowered = replace(scene, recordings=(replace(recording, boxes_path=tmp_path / "b.csv"),))
     said = update_scene(lowered, after).report.statements[0]
-    assert said.startswith("The boxes of recording 21 lie as if the camera were turned by")
+    assert said.startswith("The boxes of recording 21 lie as if the camera were rotated by")
     assert "raised, lowered or put elsewhere" in said

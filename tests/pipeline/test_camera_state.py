@@ -142,8 +142,8 @@ def test_track_warns_of_a_turn_within_20_seconds(
             )
         )
     assert made == []
-    (said,) = [r.getMessage() for r in caplog.records if "turned" in r.getMessage()]
-    assert said.startswith(f"{source}: the camera was turned shortly before 2023-11-14T22:1")
+    (said,) = [r.getMessage() for r in caplog.records if "rotated" in r.getMessage()]
+    assert said.startswith(f"{source}: the camera was rotated shortly before 2023-11-14T22:1")
     heading_deg = float(said.split(" degrees in heading")[0].split()[-1])
     assert heading_deg == pytest.approx(1.0, abs=0.05)
 
@@ -228,8 +228,8 @@ def test_the_real_camera_was_turned_in_one_recording(data_dir: Path) -> None:
     assert said["13"] is None
     for name in ("07", "08"):
         assert said[name] is not None
-        assert "from its beginning the camera lay turned" in said[name]
+        assert "from its beginning the camera was rotated" in said[name]
         roll_deg = float(said[name].split(" in roll")[0].split(" ± ")[-2].split()[-1])
         assert roll_deg == pytest.approx(-0.1, abs=0.03)
-    assert "Z on the camera lay as for the model" in said["08"]
+    assert "Z on the camera pointed as for the model" in said["08"]
     assert "Z on" not in said["07"]

@@ -274,7 +274,7 @@ def _pieces(seen: TrackObservations, image_size_px: tuple[int, int]) -> _Pieces:
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of a track segment and a log that may match, rows in the order of the pair.
+    """Track segments paired with logs that may match, rows in the order of the pair.
 
     Attributes:
         row: (K,) row of `_Pieces`.
@@ -303,7 +303,7 @@ class _Pairs:
 def _alike(
     pieces: _Pieces, paths: Sequence[ReferenceTrajectory], offset_s: float, width_px: int
 ) -> _Pairs:
-    """Pairs whose columns are consistent with the bearings of some camera."""
+    """Segment-log pairs whose columns are consistent with the bearings of some camera."""
     count = np.diff(np.append(pieces.start, pieces.time_utc_s.size))
     rows, bearings, distances, sizes, weights, spreads = [], [], [], [], [], []
     number = np.repeat(np.arange(count.size), count)

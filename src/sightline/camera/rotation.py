@@ -149,8 +149,8 @@ class CameraRotation:
     def at(self, time_utc_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rotation vectors (N, 3) at times, radians, and their covariances (N, 3, 3).
 
-        NaN between the last look before a turn and the first one after it, when nobody knows how
-        the camera lay.
+        NaN between the last look before a rotation and the first one after it, when the rotation is
+        unknown.
         """
         static_interval = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
         after = np.append(self.before_utc_s[1:], np.inf)[static_interval]
@@ -171,10 +171,10 @@ class CameraRotation:
             if k:
                 when = f"from {rfc3339(float(self.since_utc_s[k]))} on"
             if sigmas[1] > 0.5 * _UNSEEN_DEG:
-                out.append(f"{when} the camera lay otherwise, and its pictures do not tell how.")
+                out.append(f"{when} the camera was rotated, and its pictures do not tell how.")
                 continue
             if as_model:
-                out.append(f"{when} the camera lay as for the model.")
+                out.append(f"{when} the camera pointed as for the model.")
                 continue
             heading = f"{angles[0]:+.2f} ± {sigmas[0]:.2f} degrees in heading"
             if not self.heading_known[k]:
@@ -183,7 +183,7 @@ class CameraRotation:
                     "degrees)"
                 )
             out.append(
-                f"{when} the camera lay turned by {heading}, {angles[1]:+.2f} ± {sigmas[1]:.2f} "
+                f"{when} the camera was rotated by {heading}, {angles[1]:+.2f} ± {sigmas[1]:.2f} "
                 f"in pitch and {angles[2]:+.2f} ± {sigmas[2]:.2f} in roll against the model's."
             )
         return tuple(out)
@@ -282,8 +282,8 @@ def _turn(
 def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
     """The rotation (3,) of the static scene that fits the displacements, and its covariance.
 
-    None where the lens has no rays for enough of the places, or no turn explains what was measured:
-    then the two views do not show the same.
+    None where the lens has no rays for enough of the places, or no rotation explains what was
+    measured: then the two views do not show the same.
     """
     there = moved.at_px + moved.moved_px
     rays = camera.rays(moved.at_px)

@@ -1,4 +1,4 @@
-"""What the commands share: consoles, progress, folders, and results as JSON."""
+"""Shared parts of the commands: consoles, progress, folders, and results as JSON."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 class _Console(Console):
     def on_broken_pipe(self) -> None:
-        """Let `main` decide that this is no error."""
+        """Leave a broken pipe to `main`, as no error."""
         raise BrokenPipeError
 
 
@@ -36,7 +36,7 @@ stderr = Console(stderr=True)
 
 @dataclass
 class Settings:
-    """What holds for every command.
+    """Settings that hold for every command.
 
     Attributes:
         debug: Show tracebacks of errors that are the user's.
@@ -46,13 +46,13 @@ class Settings:
 
 
 def say(line: str = "") -> None:
-    """Print a line as it is, however wide the terminal."""
+    """Print a line without wrapping it."""
     stdout.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
 @contextmanager
 def progress() -> Iterator[Tell]:
-    """A progress line on standard error, where that is a terminal; gone when the work is done."""
+    """Show progress on standard error, where that is a terminal; removed when done."""
     columns = (
         SpinnerColumn(),
         TextColumn("{task.description}"),
@@ -76,7 +76,7 @@ def progress() -> Iterator[Tell]:
 
 
 def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
-    """Write a command's result where ``--json`` says, if it does."""
+    """Write a command's result to ``--json``, if it is given."""
     if path is not None:
         from sightline.evaluation.report import write_json
 
@@ -84,7 +84,7 @@ def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
 
 
 def keep_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | None]) -> None:
-    """Refuse to write a result over what it is made from.
+    """Raise InputError where a result would overwrite its own input.
 
     Raises:
         InputError: An output is an input.
@@ -96,7 +96,7 @@ def keep_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | Non
 
 
 def check_scene_is_there(path: Path) -> None:
-    """Refuse a scene file that does not exist, before the library is loaded that reads it.
+    """Raise where the scene file does not exist, before the library that reads it is loaded.
 
     Raises:
         InputError: There is none. What else can be wrong with it is left to its reader.
@@ -110,7 +110,7 @@ def check_scene_is_there(path: Path) -> None:
 
 
 def check_model_is_there(path: Path | None) -> None:
-    """Refuse a model file that does not exist, before the library is loaded that reads it.
+    """Raise where the model file does not exist, before the library that reads it is loaded.
 
     Raises:
         ModelFileError: There is none.
@@ -121,7 +121,7 @@ def check_model_is_there(path: Path | None) -> None:
 
 @contextmanager
 def folder_for_results(path: Path) -> Iterator[Path]:
-    """A folder that results can go to; made if it is not there, and gone again if the work fails.
+    """Create a folder for results; removed again if the work fails and it was new.
 
     Raises:
         InputError: There is a file of that name, or the folder cannot be made.
@@ -142,7 +142,7 @@ def folder_for_results(path: Path) -> Iterator[Path]:
 
 
 def describe(report: Report, what: str) -> str:
-    """A report in a line or two."""
+    """Summarise a report in a line or two."""
     from sightline.evaluation.comparison import number, percent
 
     ape, cover = report.ape, report.coverage
@@ -160,7 +160,7 @@ def describe(report: Report, what: str) -> str:
 
 
 def describe_forecast(error: ForecastError, what: str) -> str:
-    """The error of forecasts in a line, beside what the log itself would have foretold."""
+    """Summarise the errors of forecasts in a line, beside those of the log's own extrapolation."""
     from sightline.evaluation.comparison import number, percent
 
     beside = error.beside_log

@@ -1,4 +1,4 @@
-"""Names and defaults that the help shows.
+"""Names and defaults that the help shows, without loading the library.
 
 They repeat the library's own, which a test compares: reading those would load the library, and help
 and refusals are to be there at once.

@@ -50,9 +50,7 @@ def evaluate(
     ] = 1.0,
     forecast: Annotated[
         bool,
-        typer.Option(
-            "--forecast", help="Say how far forecasts over 5, 10, 30 and 60 s are off, too."
-        ),
+        typer.Option("--forecast", help="Score forecasts over 5, 10, 30 and 60 s, too."),
     ] = False,
     json: JsonOption = None,
 ) -> None:

@@ -43,7 +43,7 @@ def fit(
             metavar="SECONDS",
             min=0.0,
             max=600.0,
-            help="How far the clocks of camera and log may be off where no boxes are drawn.",
+            help="Largest clock offset of camera and log, where no boxes are drawn.",
         ),
     ] = LARGEST_OFFSET_S,
     update: Annotated[
@@ -52,7 +52,7 @@ def fit(
             "--update",
             metavar="MODEL",
             dir_okay=False,
-            help="Improve this model with the scene, and say whether its camera was turned since.",
+            help="Recalibrate this model, and say whether its camera was rotated since.",
         ),
     ] = None,
     json: JsonOption = None,

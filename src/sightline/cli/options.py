@@ -1,4 +1,4 @@
-"""Options that several commands have: declared once, so that they are the same everywhere."""
+"""Options that several commands share, declared once."""
 
 from __future__ import annotations
 
@@ -77,8 +77,7 @@ ViewsOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help=f"Which parts of a frame are looked at: {', '.join(VIEWS)}; absent: the detector's "
-        "own choice.",
+        help=f"Tiles of a frame: {', '.join(VIEWS)}; absent: the detector's own choice.",
     ),
 ]
 HorizonModelOption = Annotated[
@@ -121,7 +120,7 @@ def detector_options(
     provider: str | None,
     views: str | None,
 ) -> DetectorOptions:
-    """The options of a detector as the command line gives them.
+    """Detector options from the command line.
 
     Raises:
         InputError: A name is not known.

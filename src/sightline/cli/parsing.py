@@ -1,4 +1,4 @@
-"""What the texts of options mean, where one text says more than one thing."""
+"""Parsers of option texts that hold more than one value."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _SMALLEST_PX, _LARGEST_PX = 32, 8192
 
 
 def parse_names(text: str) -> tuple[str, ...]:
-    """Names with commas between them."""
+    """Split names at commas."""
     return tuple(name for name in (part.strip() for part in text.split(",")) if name)
 
 
 def parse_known_names(text: str, kind: str, known: Iterable[str]) -> tuple[str, ...]:
-    """Names with commas between them, each of which must be known.
+    """Split names at commas; each must be known.
 
     Args:
         text: The names.
@@ -38,7 +38,7 @@ def parse_known_names(text: str, kind: str, known: Iterable[str]) -> tuple[str, 
 
 
 def parse_distinct_names(option: str, text: str) -> tuple[str, ...]:
-    """One name or more with commas between them, none of them twice.
+    """Split names at commas; at least one, and none twice.
 
     Args:
         option: Its name, for the message.
@@ -57,7 +57,7 @@ def parse_distinct_names(option: str, text: str) -> tuple[str, ...]:
 
 
 def parse_pair(option: str, text: str, between: str) -> tuple[float, float]:
-    """Two numbers with something between them.
+    """Parse two numbers with something between them.
 
     Args:
         option: Its name, for the message.
@@ -77,7 +77,7 @@ def parse_pair(option: str, text: str, between: str) -> tuple[float, float]:
 
 
 def parse_size_px(option: str, text: str) -> tuple[int, int]:
-    """Width and height in px, ``WxH``.
+    """Parse width and height in px, ``WxH``.
 
     Args:
         option: Its name, for the message.
@@ -102,7 +102,7 @@ def parse_size_px(option: str, text: str) -> tuple[int, int]:
 
 
 def parse_time(option: str, text: str | None) -> float | None:
-    """POSIX seconds of an ISO 8601 time; UTC where it names no zone; None where none is given.
+    """Parse an ISO 8601 time to POSIX seconds; UTC without a zone; None where none is given.
 
     Args:
         option: Its name, for the message.
@@ -123,7 +123,7 @@ def parse_time(option: str, text: str | None) -> float | None:
 
 
 def parse_architecture_options(texts: Iterable[str]) -> dict[str, OptionValue]:
-    """Options of an architecture, each ``NAME=VALUE``.
+    """Parse options of an architecture, each ``NAME=VALUE``.
 
     Raises:
         InputError: A text is something else.
@@ -140,7 +140,7 @@ def parse_architecture_options(texts: Iterable[str]) -> dict[str, OptionValue]:
 def parse_options_by_architecture(
     texts: Iterable[str], architectures: Sequence[str]
 ) -> dict[str, dict[str, OptionValue]]:
-    """Options of several architectures, each ``ARCH.NAME=VALUE``.
+    """Parse options of several architectures, each ``ARCH.NAME=VALUE``.
 
     Args:
         texts: What was given.
@@ -162,7 +162,7 @@ def parse_options_by_architecture(
 
 
 def parse_value(text: str) -> OptionValue:
-    """A truth value or a number where a text looks like one, or else the text."""
+    """Parse a truth value or a number where a text looks like one, or else keep the text."""
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):
@@ -174,7 +174,7 @@ def parse_value(text: str) -> OptionValue:
 
 
 def parse_water_level(text: str | None) -> float | Path | None:
-    """A level in metres, or the file of a table of levels.
+    """Parse a level in metres, or the file of a table of levels.
 
     Args:
         text: What was given; None: nothing.

@@ -68,7 +68,7 @@ def run(
 
 
 def tell_result(result: RunResult, paths: dict[str, Path]) -> None:
-    """Say what came out, and where it lies."""
+    """Print a summary of the result, and where its files are."""
     from sightline.reporting.run_report import run_reports
 
     for what, report in run_reports(result).items():

@@ -157,5 +157,5 @@ def track(
 
 
 def _forecast_path(path: Path) -> Path:
-    """Where the forecasts of the tracks in a file go: they are a layer of their own on a map."""
+    """File for the forecasts of the tracks in a file, as a layer of its own on a map."""
     return path.with_name(f"{path.stem}-forecast{path.suffix}")

@@ -1,4 +1,4 @@
-"""Stage 5: how far a track is from the log."""
+"""Stage 5: evaluation of positions and tracks against a log."""
 
 from sightline.evaluation.metrics import (
     AbsoluteError,

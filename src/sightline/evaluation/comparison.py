@@ -1,4 +1,4 @@
-"""Models beside each other: the paper's Table 2, and a shorter table of what matters most."""
+"""Comparison of models: the paper's Table 2, and a shorter overview table."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def overview_table(comparison: Comparison, title: str = "") -> Table:
 
 
 def smallest(values: Mapping[str, float]) -> set[str]:
-    """The names of the smallest number and of those printed alike; none of those without one."""
+    """Names of the smallest number and of those printed alike; none of those without one."""
     known = [value for value in values.values() if math.isfinite(value)]
     if len(known) < 2:
         return set()
@@ -168,7 +168,7 @@ def smallest(values: Mapping[str, float]) -> set[str]:
 
 
 def number(value: float) -> str:
-    """A number with as many digits as it deserves: ``0.034``, ``4.67``, ``28.4``, ``12735``."""
+    """Format a number with a sensible count of digits: ``0.034``, ``4.67``, ``28.4``, ``12735``."""
     if not math.isfinite(value):
         return "–"
     size = abs(value)
@@ -177,7 +177,7 @@ def number(value: float) -> str:
 
 
 def percent(value: float) -> str:
-    """A share as a percentage: ``6.8 %``, ``94 %``."""
+    """Format a share as a percentage: ``6.8 %``, ``94 %``."""
     if not math.isfinite(value):
         return "–"
     return f"{100.0 * value:.1f} %" if abs(value) < 0.0995 else f"{100.0 * value:.0f} %"

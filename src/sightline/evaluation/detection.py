@@ -1,4 +1,4 @@
-"""How well a detector finds what was drawn by hand.
+"""Evaluation of a detector against boxes drawn by hand.
 
 Average precision is COCO's own, by its reference implementation. Recall, precision and false
 boxes at one overlap are counted here: boxes are given to drawn ones in the order of confidence,
@@ -30,7 +30,7 @@ _MOST_BOXES = 100
 
 @dataclass(frozen=True, eq=False)
 class JudgedFrame:
-    """What was drawn in a frame, and what was found there.
+    """Drawn and detected boxes of one frame.
 
     Attributes:
         name: Of the frame, for messages.
@@ -49,10 +49,10 @@ class JudgedFrame:
 
 @dataclass(frozen=True)
 class DetectionReport:
-    """How well a detector does; NaN where nothing can be said.
+    """Precision, recall and average precision of a detector; NaN where undefined.
 
     Attributes:
-        frames: How many were looked at.
+        frames: How many were examined.
         drawn: Boxes drawn in them.
         found: Boxes that the detector found in them, at any confidence.
         map_50: Average precision at an intersection over union of 0.5.
@@ -94,7 +94,7 @@ class DetectionReport:
 
 @dataclass(frozen=True, eq=False)
 class _Matches:
-    """All found boxes that count, most confident first.
+    """Matched and unmatched detections that count, most confident first.
 
     Attributes:
         confidence: (N,).
@@ -110,7 +110,7 @@ class _Matches:
 
 
 def _match(frame: JudgedFrame, least_iou: float) -> _Matches:
-    """Give found boxes to drawn ones; those given to what is ignored are left out."""
+    """Match detections to drawn boxes; those matched to ignored boxes are left out."""
     order = np.argsort(-frame.confidence, kind="stable")
     overlap = iou(frame.found_xyxy_px[order, None], frame.truth_xyxy_px)
     free = np.ones(len(frame.truth_xyxy_px), dtype=bool)
@@ -141,7 +141,7 @@ def score_detections(
     threshold: float = 0.0,
     allowed_per_frame: float = 1.0,
 ) -> DetectionReport:
-    """How well boxes fit what was drawn.
+    """Score detections against drawn boxes.
 
     Args:
         frames: What was drawn and found; found boxes of any confidence, since average precision
@@ -195,7 +195,7 @@ def score_detections(
 def _at_allowed(
     confidence: FloatArray, right: BoolArray, drawn: int, allowed: float
 ) -> tuple[float, float]:
-    """Recall, and least confidence, with at most so many false boxes in all."""
+    """Recall and confidence threshold, with at most so many false positives in all."""
     if not drawn:
         return math.nan, math.nan
     wrong = np.cumsum(~right)
@@ -209,7 +209,7 @@ def _at_allowed(
 
 
 def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
-    """Average precision at 0.5, and the mean from 0.5 to 0.95, by COCO's implementation."""
+    """Average precision at 0.5, and its mean from 0.5 to 0.95, by COCO's implementation."""
     _optional.module("pycocotools", "score")
     # Heavy, and needed by nothing else.
     from pycocotools.coco import COCO

@@ -1,7 +1,7 @@
-"""How far forecasts are from a log: at each position of a target, by it and those before it.
+"""Evaluation of forecasts against a log, from each filtered state of a target.
 
 A forecast is scored from the second position of a target on, once a moment, where the log tells
-the place at the time forecast. Beside it stands what the log itself would have foretold: constant
+the place at the time forecast. Beside it stands the log's own extrapolation: constant
 velocity from its last two fixes at or before that moment, at those moments at which the last fix
 is at most as old as fixes may lie apart, and the two lie no further apart. Other than the forecast
 it knows place and velocity at once and to within the receiver's error.
@@ -23,7 +23,7 @@ from sightline.types import Fixes, FloatArray
 
 @dataclass(frozen=True)
 class BesideLog:
-    """Forecasts beside constant velocity from the log's own last two fixes, at the same moments.
+    """Forecasts compared with constant velocity from the log's own last two fixes.
 
     Attributes:
         n: Moments compared.
@@ -38,7 +38,7 @@ class BesideLog:
 
 @dataclass(frozen=True)
 class ForecastError:
-    """How far forecasts over one time are off.
+    """Errors of forecasts over one lead time.
 
     Attributes:
         n: Forecasts compared.
@@ -47,7 +47,7 @@ class ForecastError:
         median: Metres.
         p90: Metres, the 90th percentile.
         coverage_p95: Share of true positions inside the stated 95 % ellipse.
-        beside_log: The same beside what the log itself would have foretold.
+        beside_log: The same beside the log's own extrapolation.
     """
 
     n: int
@@ -61,12 +61,12 @@ class ForecastError:
 
 @dataclass(frozen=True, eq=False)
 class ForecastPairs:
-    """Forecasts over one time, beside the log.
+    """Forecasts over one lead time, paired with the log.
 
     Attributes:
         pairs: Forecast and true positions.
-        log_error_m: (N,) float64, how far off constant velocity from the log's last two fixes is
-            for each pair; NaN where those are too old or too far apart.
+        log_error_m: (N,) float64, error of constant velocity from the log's last two fixes, for
+            each pair; NaN where those are too old or too far apart.
     """
 
     pairs: ScoredPairs
@@ -80,7 +80,7 @@ def pair_forecasts(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
 ) -> ForecastPairs:
-    """Forecasts of one target, each from one of its states, beside a log.
+    """Pair forecasts of one target, one from each of its states, with a log.
 
     Args:
         states: N of one target, in the order of time; see `sightline.trajectory.forecast.follow`.
@@ -117,7 +117,7 @@ def pair_forecasts(
 def _constant_velocity(
     states: MotionState, fixes: Fixes, horizon_s: float, largest_gap_s: float
 ) -> FloatArray:
-    """(N, 2) where the last two fixes before each state point to; NaN where they are too old."""
+    """(N, 2) extrapolations of the last two fixes before each state; NaN where too old."""
     log = distinct(fixes)
     out = np.full((len(states), 2), np.nan)
     if len(log) < 2:
@@ -136,7 +136,7 @@ def _constant_velocity(
 def forecast_errors(
     targets: Iterable[tuple[MotionState, Fixes]], horizons_s: Iterable[float] = HORIZONS_S
 ) -> dict[str, ForecastError]:
-    """The errors of the forecasts of some targets, pooled, for each time ahead.
+    """Errors of the forecasts of some targets, pooled, for each lead time.
 
     Args:
         targets: For each target its states and its log; see `pair_forecasts`.

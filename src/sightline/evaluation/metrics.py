@@ -1,4 +1,4 @@
-"""Errors of positions against a log: absolute, relative, by range, and beside what was stated.
+"""Error metrics of positions against a log: absolute, relative, by range, and coverage.
 
 All of it acts on `ScoredPairs`: positions and where the log says that the target was at the same
 times. The camera stands at the origin of the plane.
@@ -38,7 +38,7 @@ _SAME_TIME_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ScoredPairs:
-    """Positions beside the log's positions at the same times.
+    """Estimated positions paired with those of the log at the same times.
 
     Attributes:
         time_utc_s: (N,) float64, finite.
@@ -52,9 +52,8 @@ class ScoredPairs:
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
         camera_position_m: (N, 2) float64, east and north of the camera; absent: at the origin.
-        reference_sigma_m: (N,) float64, how far off the log itself is believed to be, east and
-            north;
-            absent: not at all.
+        reference_sigma_m: (N,) float64, standard deviation of the log's own error, east and north;
+            absent: zero.
 
     Raises:
         InputError: A column is of another length, or a position is not finite.
@@ -102,7 +101,7 @@ class ScoredPairs:
 
     @classmethod
     def concatenate(cls, tables: Iterable[ScoredPairs]) -> ScoredPairs:
-        """One table with the rows of all; no segment of one is a segment of another."""
+        """Concatenate tables; no segment of one is a segment of another."""
         parts: list[ScoredPairs] = []
         first = 0
         for table in tables:
@@ -131,25 +130,25 @@ class ScoredPairs:
         )
 
     def with_log_error(self) -> ScoredPairs:
-        """The same, with covariances that answer for the log's own error as well."""
+        """The same pairs, with the log's own error added to the covariances."""
         assert self.reference_sigma_m is not None, "filled in where it is absent"
         of_log = np.square(self.reference_sigma_m)[:, None, None] * np.eye(2)
         return replace(self, covariance_m2=self.covariance_m2 + of_log)
 
     @property
     def error_m(self) -> FloatArray:
-        """(N,) metres from the true position to the estimated one."""
+        """(N,) absolute errors, metres."""
         return np.hypot(self.east_m - self.true_east_m, self.north_m - self.true_north_m)
 
     @property
     def true_sight_m(self) -> FloatArray:
-        """(N, 2) metres east and north from the camera to the true position."""
+        """(N, 2) line of sight to the true position, metres east and north from the camera."""
         assert self.camera_position_m is not None, "filled in where it is absent"
         return np.stack([self.true_east_m, self.true_north_m], axis=1) - self.camera_position_m
 
     @property
     def true_range_m(self) -> FloatArray:
-        """(N,) metres from the camera to the true position."""
+        """(N,) true range, metres from the camera."""
         return np.asarray(np.hypot(*self.true_sight_m.T))
 
     @property
@@ -167,7 +166,7 @@ def pair_positions(
     platform: Platform | None = None,
     reference_sigma_m: float = 0.0,
 ) -> ScoredPairs:
-    """Single positions beside a log, as one segment.
+    """Pair single positions with a log, as one segment.
 
     Args:
         time_utc_s: (N,) POSIX seconds of the positions; NaN is never matched.
@@ -175,7 +174,7 @@ def pair_positions(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
-        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: Standard deviation of the log's own error, metres east and north.
 
     Raises:
         InputError: There are more times than positions or the reverse.
@@ -214,14 +213,14 @@ def pair_track(
     platform: Platform | None = None,
     reference_sigma_m: float = 0.0,
 ) -> ScoredPairs:
-    """A track beside a log at the track's own times, as one segment.
+    """Pair a track with a log at the track's own times, as one segment.
 
     Args:
         track: The track.
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
-        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: Standard deviation of the log's own error, metres east and north.
     """
     log = synchronise(fixes, track.time_utc_s, track.plane, largest_gap_s=largest_gap_s)
     keep = log.matched
@@ -287,7 +286,7 @@ class RelativeError:
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often the log lies inside the stated ellipse; an honest estimate has p50 = 0.5.
+    """Coverage of the stated ellipses by the log; an honest estimate has p50 = 0.5.
 
     Ellipses are about the target itself, and a log is off as well. Where it is known by how much,
     an honest estimate has ``p50_with_log`` = 0.5, and ``p50`` below.
@@ -312,7 +311,7 @@ class Coverage:
 
 @dataclass(frozen=True)
 class LineOfSight:
-    """The error along the camera's line of sight to the true position, and across it.
+    """Error along the camera's line of sight to the true position, and across it.
 
     Attributes:
         bias_along: Metres, mean; positive is too far from the camera.
@@ -329,7 +328,7 @@ class LineOfSight:
 
 @dataclass(frozen=True)
 class RangeBin:
-    """The absolute error of the pairs whose true distance from the camera lies in an interval.
+    """Absolute error of the pairs whose true range lies in an interval.
 
     Attributes:
         from_m: Metres, included.
@@ -374,7 +373,7 @@ def absolute_error(pairs: ScoredPairs) -> AbsoluteError:
 def relative_error(
     pairs: ScoredPairs, delta_s: float = DELTA_S, *, largest_gap_s: float = LARGEST_GAP_S
 ) -> RelativeError:
-    """Relative pose error, section 4.4: how far movement over a time differs from the log's.
+    """Relative pose error, section 4.4: error of the displacement over a fixed time.
 
     The mean of ``((x*(t+Δ) ⊖ x*(t)) ⊖ (x(t+Δ) ⊖ x(t)))²`` over the times ``t`` of the pairs,
     where ``t+Δ`` lies in the same segment. Estimate and log are interpolated to ``t+Δ``, so
@@ -461,7 +460,7 @@ def _relative_in_segment(
 
 
 def mahalanobis_squared(pairs: ScoredPairs) -> FloatArray:
-    """The squared distance from the estimate to the truth in units of the stated covariance.
+    """Squared Mahalanobis distance from the estimate to the truth.
 
     Returns:
         (N,) float64, chi-square distributed with two degrees of freedom if the covariances are
@@ -482,7 +481,7 @@ def mahalanobis_squared(pairs: ScoredPairs) -> FloatArray:
 
 
 def covered(pairs: ScoredPairs, probability: ArrayLike) -> FloatArray:
-    """The share of true positions inside the ellipses of one or more stated probabilities.
+    """Share of true positions inside the ellipses of one or more stated probabilities.
 
     Args:
         pairs: The pairs; those without a stated covariance do not count.
@@ -501,7 +500,7 @@ def covered(pairs: ScoredPairs, probability: ArrayLike) -> FloatArray:
 
 
 def coverage(pairs: ScoredPairs) -> Coverage:
-    """How often the truth lies inside the stated 50 % and 95 % ellipses."""
+    """Coverage of the stated 50 % and 95 % ellipses."""
     assert pairs.reference_sigma_m is not None, "filled in where it is absent"
     p50, p95 = covered(pairs, (0.5, 0.95))
     p50_with_log, p95_with_log = covered(pairs.with_log_error(), (0.5, 0.95))
@@ -548,7 +547,7 @@ def line_of_sight(pairs: ScoredPairs) -> LineOfSight:
 
 
 def by_range(pairs: ScoredPairs, edges_m: Sequence[float] = RANGE_EDGES_M) -> tuple[RangeBin, ...]:
-    """The absolute error in bins of the true distance from the camera; empty bins are left out.
+    """Absolute error in bins of the true range; empty bins are left out.
 
     Args:
         pairs: The pairs.

@@ -1,4 +1,4 @@
-"""The evaluation report: the numbers of section 4.4 for all recordings and for each."""
+"""The evaluation report: the metrics of section 4.4 for all recordings and for each."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _AS_NEAR, _AS_LONG = 2.0, 0.5
 
 @dataclass(frozen=True)
 class Matched:
-    """How much of what was asked could be compared.
+    """How many of the times asked for could be compared.
 
     Attributes:
         asked: Times looked up: boxes, or points of a track.
@@ -60,7 +60,7 @@ class Matched:
 
 @dataclass(frozen=True)
 class TracksUsed:
-    """Which tracks were taken for the logged target.
+    """Tracks that were matched to the logged target.
 
     Attributes:
         used: Their ids, one a recording (or as many as were named).
@@ -75,14 +75,14 @@ class TracksUsed:
 
 
 def _coverage_dict(coverage: Coverage) -> dict[str, Any]:
-    """As JSON has it: the key of the log's error is older than its name here."""
+    """The coverage as JSON has it: the key of the log's error is that of release 0.1."""
     out = asdict(coverage)
     return {"log_sigma_m" if key == "reference_sigma_m" else key: out[key] for key in out}
 
 
 @dataclass(frozen=True)
 class Report:
-    """How far positions are from a log: pooled over recordings, and for each of them.
+    """Errors of positions against a log: pooled over recordings, and for each of them.
 
     Attributes:
         ape: Absolute pose error.
@@ -107,7 +107,7 @@ class Report:
     forecast: Mapping[str, ForecastError] | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON has it: what is not a finite number is None."""
+        """The report as JSON has it; NaN and infinities become None."""
         return {
             **self._own(),
             "recordings": {name: report._own() for name, report in self.recordings.items()},
@@ -161,7 +161,7 @@ def without_nan(value: Any) -> Any:
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Write JSON that any reader takes (no NaN), whole or not at all.
+    """Write JSON without NaN, atomically.
 
     Args:
         path: The file.
@@ -182,7 +182,7 @@ def summarise(
     largest_gap_s: float = LARGEST_GAP_S,
     tracks: TracksUsed | Mapping[str, TracksUsed] | None = None,
 ) -> Report:
-    """The report of pairs.
+    """Compute the report of pairs.
 
     Args:
         pairs: All in one, or for each recording; then the report pools them and has each.
@@ -243,7 +243,7 @@ def evaluate_positions(
     delta_s: float = DELTA_S,
     largest_gap_s: float = LARGEST_GAP_S,
 ) -> Report:
-    """Score single positions, one a box, without smoothing.
+    """Evaluate single positions, one a box, without smoothing.
 
     Args:
         time_utc_s: (N,) POSIX seconds of the positions.
@@ -288,7 +288,7 @@ def evaluate_tracks(
     largest_gap_s: float = LARGEST_GAP_S,
     least_overlap_s: float = LEAST_OVERLAP_S,
 ) -> Report:
-    """Score tracks against the log of one target, at the tracks' own times.
+    """Evaluate tracks against the log of one target, at the tracks' own times.
 
     Without a ``track_id`` the target is, in each recording, the one track with the smallest
     median error among those that meet the log for at least ``least_overlap_s`` (or, if none does,
@@ -347,7 +347,7 @@ def pair_target(
     reference_sigma_m: float = 0.0,
     where: str = "",
 ) -> tuple[ScoredPairs, TracksUsed]:
-    """The pairs of a log and those tracks that are its target; see `evaluate_tracks`.
+    """Pair the tracks that are the logged target with its log; see `evaluate_tracks`.
 
     Args:
         tracks: Of one recording.
@@ -356,7 +356,7 @@ def pair_target(
         largest_gap_s: Times between fixes that are further apart are not compared.
         least_overlap_s: Seconds.
         platform: What the camera stood on, where that moved.
-        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: Standard deviation of the log's own error, metres east and north.
         where: Begins the message: the recording.
 
     Returns:
@@ -469,7 +469,7 @@ def _refuse_nothing(
     logs: list[Fixes],
     gap_s: float,
 ) -> None:
-    """Say why nothing could be compared, where nothing could."""
+    """Raise InputError where no pair could be compared, with the reason."""
     if len(pairs):
         return
     if pairs.without_position:

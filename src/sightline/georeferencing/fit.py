@@ -149,8 +149,8 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
         return fitted
     if known.rotations:
         said = (
-            f"The camera was turned: in recordings {', '.join(known.rotations)} it did not always "
-            "lie as at the end. Their boxes were put where they would be if it had."
+            f"The camera was rotated: in recordings {', '.join(known.rotations)} it did not always "
+            "point as at the end. The rotation is compensated in their boxes."
         )
         report = replace(fitted.report, statements=(*fitted.report.statements, said))
         fitted = replace(fitted, report=report)

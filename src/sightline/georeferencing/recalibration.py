@@ -151,18 +151,18 @@ def detect_camera_change(
         if turns is not None:
             by_pictures = True
             said.append(
-                f"The camera was turned: in recording {name}, by its pictures, "
+                f"The camera was rotated: in recording {name}, by its pictures, "
                 f"{' '.join(turns.sentences())}"
             )
     for name, moved in by_boxes.items():
         if name not in seen:
             said.append(
-                f"The camera was turned: from recording {name} on by {moved.angles} against the "
+                f"The camera was rotated: from recording {name} on by {moved.angles} against the "
                 f"old model, by its boxes ({moved.log_likelihood_ratio:.0f} nats)."
             )
         elif model.rotation_in(seen[name]) is None:
             said.append(
-                f"The boxes of recording {name} lie as if the camera were turned by "
+                f"The boxes of recording {name} lie as if the camera were rotated by "
                 f"{moved.angles}, and its pictures show that it is not: it may have been raised, "
                 "lowered or put elsewhere, or the log is off."
             )

@@ -1,4 +1,4 @@
-"""Boxes for training, proposed from a fitted camera and the log of a target."""
+"""Labelling: training boxes proposed from a fitted camera and the log of a target."""
 
 from sightline.labelling.expected import Expected, TargetSize, expect, learn_size
 from sightline.labelling.proposals import DEFAULT_LABEL, SOURCE, Proposals, propose

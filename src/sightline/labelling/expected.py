@@ -1,4 +1,4 @@
-"""Where in the image a logged target must be, how sure that is, and how large it looks."""
+"""Expected boxes of a logged target, projected by a fitted camera, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNDER_WAY_MPS = 0.5
 """Below this speed a log does not tell where the bow points to."""
 _FEWEST_BOXES = 5
 _RECEIVER_SIGMA_M = 1.5
-"""Of a good receiver either way. It lasts for minutes, so the scatter of boxes does not show it."""
+"""Of a good receiver either way. It is correlated over minutes, so it is no scatter of boxes."""
 _TURN_MPS2 = 0.5
 """How much a small boat speeds up or turns: in a gap of ``g`` seconds between two fixes it leaves
 the straight line between them by up to ``a g² / 8``."""
@@ -30,7 +30,7 @@ the straight line between them by up to ``a g² / 8``."""
 
 @dataclass(frozen=True)
 class TargetSize:
-    """How large a target is, as its boxes show it.
+    """Size of a target, as its boxes show it.
 
     Attributes:
         length_m: Width of its box when it crosses the line of sight.
@@ -45,13 +45,13 @@ class TargetSize:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """Where a logged target is expected, one row a frame.
+    """Expected boxes of a logged target, one row a frame.
 
     Attributes:
         xyxy_px: (N, 4) float64, the expected box; NaN where the log has a gap or the target lies
             behind the camera.
-        sigma_px: (N, 2) float64, how unsure its column and row are: the camera's parameters, the
-            receiver, the clock.
+        sigma_px: (N, 2) float64, standard deviations of its column and row: of the camera's
+            parameters, the receiver and the clock.
         range_m: (N,) float64, from the camera; NaN where not known.
         in_gap: (N,) bool, True where the log has no fixes at both sides that are close enough.
     """
@@ -80,7 +80,7 @@ def camera_of(georeferencer: Georeferencer) -> CameraRegressor:
 
 
 def learn_size(scene: Scene, georeferencer: Georeferencer) -> TargetSize:
-    """How large the logged target is, from the boxes that were drawn of it.
+    """Estimate the size of the logged target from the boxes drawn of it.
 
     The width of a box is that of the hull turned to the line of sight,
     ``length |sin| + beam |cos|``, by non-negative least squares; the height is the median. What
@@ -120,11 +120,11 @@ def place_of(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
 ) -> Synchronised:
-    """Where the logged target was at the times of frames, by the clock that the fit found.
+    """Positions of the logged target at the times of frames, corrected for the clock offset.
 
     Args:
         recording: Whose log.
-        georeferencer: Says how far the recording's clock is off the log's.
+        georeferencer: Has the clock offset of the recording.
         time_utc_s: (N,) POSIX seconds by the recording's clock.
         largest_gap_s: As in `synchronise`.
 
@@ -143,7 +143,7 @@ def expect(
     size: TargetSize,
     water_level_m: ArrayLike | None = None,
 ) -> Expected:
-    """The boxes that a target has where its log says it is.
+    """Project the expected boxes of a target from the positions of its log.
 
     Args:
         place: (N,) where it was.
@@ -206,7 +206,7 @@ def expect(
 def _aspect(
     east_m: FloatArray, north_m: FloatArray, velocity_east: FloatArray, velocity_north: FloatArray
 ) -> FloatArray:
-    """(N, 2) how much of the length and of the beam is seen across the line of sight."""
+    """(N, 2) shares of the length and of the beam across the line of sight."""
     size = np.maximum(np.hypot(east_m, north_m) * np.hypot(velocity_east, velocity_north), 1e-9)
     along = np.abs(velocity_east * east_m + velocity_north * north_m) / size
     across = np.sqrt(np.maximum(1.0 - along**2, 0.0))

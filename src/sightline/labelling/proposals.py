@@ -1,4 +1,4 @@
-"""Boxes of a logged target, proposed for frames in which nobody drew any."""
+"""Proposed boxes of a logged target for frames without drawn ones."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ OTHER = "what stands out there is not of its size"
 
 @dataclass(frozen=True, eq=False)
 class Proposals:
-    """What was proposed for a recording, one row a frame that was looked at.
+    """Proposed boxes of a recording, one row a frame that was examined.
 
     Attributes:
         recording: Its name.
@@ -65,11 +65,11 @@ class Proposals:
 
     @property
     def made(self) -> BoolArray:
-        """(N,) bool, True where there is a box."""
+        """(N,) bool, whether there is a box."""
         return np.asarray(np.isfinite(self.xyxy_px[:, 0]))
 
     def surer_than(self, confidence: float) -> Proposals:
-        """Without the boxes that have less confidence than this, 0 to 1."""
+        """Drop the boxes of less confidence than this, 0 to 1."""
         out = self.made & (self.confidence < confidence)
         return replace(
             self,
@@ -112,8 +112,8 @@ def propose(
         recording: Has pictures and a log.
         georeferencer: Has a camera; its clock offsets are honoured.
         size: Of the target.
-        every_s: Frames that follow the last one sooner are not looked at.
-        leave_out: (M,) frames that are not looked at, since they have boxes already.
+        every_s: Frames that follow the last one sooner are left out.
+        leave_out: (M,) frames that are left out, since they have boxes already.
 
     Raises:
         InputError: The recording has no pictures, no log or no times, or a file cannot be used.
@@ -181,7 +181,7 @@ _EMPTY = {
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What is kept of a frame, so that it need not be read for each round of `_choose`."""
+    """What `_choose` needs of a frame, so that it is decoded once."""
 
     frame: int
     time_utc_s: float
@@ -217,10 +217,10 @@ def _view(frame: Frame, expected: Expected, background: Background, seen: Boxes 
 
 
 def _choose(views: list[_View]) -> list[tuple[FloatArray, float, str]]:
-    """Boxes (4,) or NaN, confidences, and why there is no box.
+    """Choose boxes (4,) or NaN, with confidences, and the reason where there is none.
 
     Annotators draw wider or tighter than what stands out. So how large the target looks, and where
-    by its log, is learned from the pictures in a first round, and believed in a second.
+    by its log, is learned from the pictures in a first round, and is the prior of a second.
     """
     first = [_one(view, view.belief) for view in views]
     sure = [i for i, (_, confidence, _) in enumerate(first) if confidence >= _SURE]

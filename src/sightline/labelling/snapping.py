@@ -1,4 +1,4 @@
-"""What stands out against the background of a recording, and the box around it."""
+"""Snapping of expected boxes to the foreground of a recording."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ Picture = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What a recording's frames have in common.
+    """Median background of a recording's frames.
 
     Attributes:
         median: (H, W, 3) float32, grey levels.
-        spread: (H, W) float32, how far frames lie from it in the median, smoothed.
+        spread: (H, W) float32, median absolute deviation of frames from it, smoothed.
     """
 
     median: Picture
@@ -46,7 +46,7 @@ class Background:
 
     @classmethod
     def of(cls, frames: Iterable[Frame], name: str) -> Background:
-        """The background of a recording of a camera that stands still.
+        """Estimate the background of a recording of a static camera.
 
         The median over up to `_SAMPLES` frames that lie evenly in it.
 
@@ -71,7 +71,7 @@ class Background:
                 kept, stride = kept[::2], 2 * stride
         if len(kept) < _FEWEST_SAMPLES:
             raise InputError(
-                f"recording {name}: {len(kept)} frames do not show what stands still in them; "
+                f"recording {name}: {len(kept)} frames do not show the static scene; "
                 f"{_FEWEST_SAMPLES} or more are needed"
             )
         kept = kept[:: max(1, len(kept) // _SAMPLES)]
@@ -89,7 +89,7 @@ class Background:
         return cls(median, spread)
 
     def contrast(self, image_bgr: Image, window: tuple[int, int, int, int]) -> Picture:
-        """How far a part of a frame stands out, (h, w) float32 in spreads of the background.
+        """Contrast of a part of a frame against the background, (h, w) float32 in spreads.
 
         Args:
             image_bgr: (H, W, 3) uint8.
@@ -105,7 +105,7 @@ class Background:
 
 @dataclass(frozen=True, eq=False)
 class BoxPrior:
-    """Where a box is expected, and how large.
+    """Normal prior of the place and the size of a box.
 
     Attributes:
         xyxy_px: (4,) float64, in the frame.
@@ -118,7 +118,7 @@ class BoxPrior:
     shape_sigma: float
 
     def surprise(self, boxes: FloatArray) -> FloatArray:
-        """(N,) squared standard deviations by which boxes (N, 4) differ from what is expected."""
+        """(N,) squared Mahalanobis distances of boxes (N, 4) from the prior."""
         size = self.xyxy_px[2:] - self.xyxy_px[:2]
         column = 0.5 * (boxes[:, 0] + boxes[:, 2] - self.xyxy_px[0] - self.xyxy_px[2])
         row = boxes[:, 3] - self.xyxy_px[3]
@@ -144,7 +144,7 @@ class Look:
 
     @classmethod
     def at(cls, background: Background, image_bgr: Image, belief: BoxPrior) -> Look:
-        """What a frame shows as far as a box may lie from where it is expected."""
+        """Crop a frame around the expected box, within the reach of its prior."""
         height, width = image_bgr.shape[:2]
         box, sigma = belief.xyxy_px, belief.place_sigma_px
         size = box[2:] - box[:2]
@@ -157,15 +157,15 @@ class Look:
 
 
 def snap(look: Look, belief: BoxPrior) -> tuple[FloatArray, float] | None:
-    """The most probable box: what stands out inside it, and what is expected.
+    """Maximum a posteriori box: contrast inside it, and the prior.
 
     A pixel of contrast ``c`` speaks for being part of the boat by ``min(c, 8) - 3``, and against it
     where that is negative; so a rectangle of largest sum leaves out wakes and aerials, which fill
-    little of the columns and rows that they take. The belief weighs in as a normal prior.
+    little of the columns and rows that they take. The prior is normal.
 
     Args:
         look: The part of the frame.
-        belief: Where the box is expected.
+        belief: The prior of the box.
 
     Returns:
         The box in the frame (4,), and the mean contrast inside it; None where the sum of no
@@ -201,7 +201,7 @@ def snap(look: Look, belief: BoxPrior) -> tuple[FloatArray, float] | None:
 
 
 def _rectangles(belief: BoxPrior, shape: tuple[int, ...], corner_px: tuple[int, int]) -> IntArray:
-    """(N, 4) rectangles within the gate, on a grid that is fine by their size."""
+    """(N, 4) candidate rectangles within the gate, on a grid scaled to their size."""
     size = belief.xyxy_px[2:] - belief.xyxy_px[:2]
     middle = 0.5 * (belief.xyxy_px[0] + belief.xyxy_px[2]) - corner_px[0]
     foot = belief.xyxy_px[3] - corner_px[1]
@@ -226,7 +226,7 @@ def _rectangles(belief: BoxPrior, shape: tuple[int, ...], corner_px: tuple[int, 
 def _climb(
     best: IntArray, gain: Callable[[IntArray], FloatArray], shape: tuple[int, ...]
 ) -> IntArray:
-    """Move one edge at a time by a pixel for as long as that helps."""
+    """Hill climbing: move one edge at a time for as long as the score improves."""
     moves = np.concatenate([np.eye(4, dtype=np.int64), -np.eye(4, dtype=np.int64)])
     moves = np.concatenate([moves, 2 * moves])
     here = float(gain(best[None])[0])
@@ -243,7 +243,7 @@ def _climb(
 
 
 def _with_persons(contrast: Picture, x1: int, y1: int, x2: int, y2: int) -> int:
-    """The upper edge with what stands on the deck."""
+    """Extend the upper edge to what stands on the deck."""
     enough = max(_FEWEST_PERSON_PX, round(_PERSON * (x2 - x1)))
     limit = max(0, y1 - (y2 - y1))
     while y1 > limit and int((contrast[y1 - 1, x1:x2] > _NOISE).sum()) >= enough:

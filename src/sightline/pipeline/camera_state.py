@@ -22,9 +22,9 @@ from sightline.water import WaterLevels
 _COLUMNS = 33
 
 _UNRECOGNISED = (
-    "the far shore that the model was fitted with is not made out in the first pictures (too few, "
-    "night, fog, another season?), so nothing tells whether the camera still lies as for the "
-    "model; it is taken to lie so until it turns."
+    "the far shore that the model was fitted with is not recognised in the first frames (too few, "
+    "night, fog, another season?), so the camera rotation against the model is unknown; it is "
+    "taken as none until a rotation is detected."
 )
 
 _logger = logging.getLogger(__name__)
@@ -170,7 +170,7 @@ def turn_sentence(turn: CameraTurn) -> str:
         else "an unknown angle, since only the horizon is seen, in heading"
     )
     return (
-        f"the camera was turned shortly before {rfc3339(turn.time_utc_s)}: by {heading}, "
+        f"the camera was rotated shortly before {rfc3339(turn.time_utc_s)}: by {heading}, "
         f"{turn.pitch_deg:+.2f} in pitch and {turn.roll_deg:+.2f} in roll, "
         f"{turn.shift_px:.1f} px in the picture."
     )

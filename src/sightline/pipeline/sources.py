@@ -23,7 +23,7 @@ LOOKED_AT = 5
 """Number of frames whose times tell the frame rate."""
 # In a longer time a boat moves by more than its length in the image.
 _SELDOM_S = 1.0
-# On the earth a vessel's way can be foretold for longer.
+# On the earth a vessel's path can be predicted for longer.
 _SELDOM_ON_EARTH_S = 6.0
 
 

@@ -84,7 +84,7 @@ def recording_static_intervals(recording: Recording) -> tuple[StaticInterval, ..
             for frame in recording.frames(apart_s=LOOKS_APART_S):
                 watch.observe(frame)
         except InputError as error:
-            _logger.warning("nobody can tell whether the camera was turned: %s", error)
+            _logger.warning("nothing tells whether the camera was rotated: %s", error)
             watch = StaticIntervalMonitor()
         remember_static_intervals(recording, watch.static_intervals)
     return _remembered[_key(recording)]

@@ -144,7 +144,7 @@ def evaluate(
 
 
 def describe(report: DetectionReport, what: str) -> str:
-    """A report in a line."""
+    """Summarise a report in a line."""
     from sightline.evaluation.comparison import number, percent
 
     return (

@@ -125,7 +125,7 @@ def _summary(proposals: Proposals) -> dict[str, object]:
 
 
 def _write_frames(made: list[Proposals], path: Path) -> None:
-    """Every frame that was looked at, and why it has no box."""
+    """Write a table of all examined frames, with the reason where there is no box."""
     import numpy as np
 
     from sightline.atomic import atomic_path
