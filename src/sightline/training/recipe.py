@@ -14,7 +14,7 @@ import torch
 from sightline.errors import InputError
 from sightline.scene import Scene
 from sightline.training.architecture import build
-from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.augmentation import Augmentation, Batches, BatchSettings
 from sightline.training.data import (
     Labels,
     backgrounds,
@@ -156,10 +156,12 @@ def train_detector(
         backgrounds(train_pictures) if recipe.augmentation.paste else [],
         pasted,
         recipe.augmentation,
-        size_px=(size[0], size[1]),
-        batch=recipe.batch,
-        seed=recipe.training.seed,
-        vanishing_row_px=vanishing_row_px(train_pictures),
+        BatchSettings(
+            size_px=(size[0], size[1]),
+            batch=recipe.batch,
+            seed=recipe.training.seed,
+            vanishing_row_px=vanishing_row_px(train_pictures),
+        ),
     )
     folder.mkdir(parents=True, exist_ok=True)
     configuration = {
