@@ -23,6 +23,44 @@ _MANY_PARAMETERS = {
     "simulation/simulate.py: simulate": "what is in a recording, each by its name: public",
 }
 
+# Where nothing says what a value is, with the reason.
+_JSON = "reads what JSON holds"
+_SKLEARN = "scikit-learn has no types"
+_TORCH = "checks read torch and what is made of it as untyped"
+_UNTYPED = {
+    "__init__.py": "names that are loaded when they are asked for",
+    "_optional.py": "modules of extras",
+    "_plugins.py": "objects of other packages",
+    "camera/pinhole.py": "a number or a column of them: no type is both",
+    "cli/__init__.py": "typer does not export the class of its errors",
+    "detection/_onnxruntime.py": "onnxruntime has no types",
+    "detection/onnx.py": "onnxruntime has no types",
+    "formats/_files.py": "options of pandas",
+    "formats/ais.py": "pyais has no types",
+    "formats/geojson.py": _JSON,
+    "formats/parquet.py": "pyarrow has no types",
+    "georeferencing/camera_regressor.py": _SKLEARN,
+    "georeferencing/fit_report.py": _JSON,
+    "georeferencing/georeferencer.py": _JSON,
+    "georeferencing/model_file.py": _JSON,
+    "georeferencing/paper/estimator.py": _SKLEARN,
+    "georeferencing/paper/gaussian_process.py": _SKLEARN,
+    "georeferencing/paper/neural.py": _SKLEARN,
+    "georeferencing/paper/quadratic.py": _SKLEARN,
+    "georeferencing/paper/two_layer.py": _SKLEARN,
+    "tracking/targets.py": _JSON,
+    "training/architecture.py": _TORCH,
+    "training/comparison.py": _JSON,
+    "training/efficientdet.py": _TORCH,
+    "training/export.py": _TORCH,
+    "training/faster_rcnn.py": _TORCH,
+    "training/loop.py": _TORCH,
+    "training/photometric.py": _TORCH,
+    "training/pretrained.py": _TORCH,
+    "training/trained.py": _JSON,
+    "trajectory/__init__.py": "settings of methods of other packages",
+}
+
 _Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -116,6 +154,41 @@ def test_long_functions_say_what_they_are_for() -> None:
 def test_functions_have_few_parameters() -> None:
     """More belong together in a table or in settings; whoever is mended leaves the list."""
     assert sorted(crowded(_of_the_library())) == sorted(_MANY_PARAMETERS)
+
+
+def untyped(tree: ast.Module) -> list[int]:
+    """Lines on which something may be anything; an array of whichever numbers is an array."""
+    arrays = [
+        node.slice
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value) in ("NDArray", "np.ndarray")
+    ]
+    allowed = {id(node) for inside in arrays for node in ast.walk(inside)}
+    return [
+        node.lineno
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name | ast.Attribute)
+        and ast.unparse(node) in ("Any", "typing.Any")
+        and id(node) not in allowed
+    ]
+
+
+def test_what_may_be_anything_is_at_a_border() -> None:
+    """Inside, everything has a type; a module that has come to have one leaves the list."""
+    assert sorted(file for file, tree in _trees().items() if untyped(tree)) == sorted(_UNTYPED)
+
+
+@pytest.mark.parametrize(
+    ("code", "lines"),
+    [
+        ("def f(a: Any) -> int: ...", [1]),
+        ("a = 1\ndef f() -> dict[str, typing.Any]: ...", [2]),
+        ("def f(a: NDArray[Any], b: np.ndarray[Any, Any]) -> None: ...", []),
+        ("def f(a: list[NDArray[Any]] | Any) -> None: ...", [1]),
+    ],
+)
+def test_what_may_be_anything_is_found(code: str, lines: list[int]) -> None:
+    assert untyped(ast.parse(code)) == lines
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -75,7 +75,7 @@ class _RecordingTable(_Table):
 
     @field_validator("start_utc", mode="before")
     @classmethod
-    def _moment(cls, value: Any) -> Any:
+    def _moment(cls, value: object) -> object:
         if isinstance(value, str):
             return datetime.fromisoformat(value)
         return value

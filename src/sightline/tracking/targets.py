@@ -147,7 +147,7 @@ class TargetTracker:
             self._keep(kept)
         return ids
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, object]:
         """All that the tracker knows, as JSON can hold it; see `restore`."""
         return {
             "version": _STATE_VERSION,

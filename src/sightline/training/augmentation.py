@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -92,7 +91,7 @@ class Augmentation:
                 "the smaller one first"
             )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """All settings, as JSON has them."""
         return asdict(self) | {"scales": list(self.scales)}
 

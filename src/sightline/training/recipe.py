@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
 
@@ -65,7 +64,7 @@ class Recipe:
     batch: int = 16
     augmentation: Augmentation = field(default_factory=Augmentation)
     training: TrainingSettings = field(default_factory=TrainingSettings)
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     initial: Path | None = None
 
     def __post_init__(self) -> None:
@@ -97,7 +96,7 @@ class TrainedDetector:
     parameters: int
     export_difference: float
     training: TrainingResult
-    data: Mapping[str, Any]
+    data: Mapping[str, object]
 
 
 def train_detector(
