@@ -14,13 +14,13 @@ Conventions, said once:
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane, check_geographic
@@ -29,6 +29,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 StrArray = NDArray[np.str_]
+
+Rows = IntArray | BoolArray | slice
+"""What selects rows of a table: their numbers, a mask, or a slice."""
 
 NO_TRACK = -1
 """The track id of a box that belongs to no track."""
@@ -68,7 +71,7 @@ def rfc3339(time_utc_s: float) -> str:
 
 
 def _column(
-    table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]
+    table: object, name: str, values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...]
 ) -> NDArray[Any]:
     """Convert values to a column; raise an error that names it where they do not fit."""
     array = np.array(values, dtype=dtype)
@@ -77,7 +80,9 @@ def _column(
     return array
 
 
-def _freeze(table: Any, name: str, values: ArrayLike, dtype: Any, shape: tuple[int, ...]) -> None:
+def _freeze(
+    table: object, name: str, values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...]
+) -> None:
     array = _column(table, name, values, dtype, shape)
     array.flags.writeable = False
     object.__setattr__(table, name, array)
@@ -91,7 +96,7 @@ class Columns:
     _any_rows = False
     """Whether rows of such a table, whichever and in whatever order, are one again."""
 
-    def __getitem__(self, rows: Any) -> Self:
+    def __getitem__(self, rows: Rows) -> Self:
         """The rows selected by an index array, a mask or a slice, as a new table.
 
         What a slice selects stays where it is, as in an array; the rest is copied.
@@ -231,7 +236,7 @@ class Boxes(Columns):
             xyxy = xyxy.reshape(0, 4)
         n = xyxy.shape[0] if xyxy.ndim else 0
 
-        def column(values: ArrayLike | None, default: Any) -> NDArray[Any]:
+        def column(values: ArrayLike | None, default: ArrayLike) -> NDArray[Any]:
             array = np.asarray(default if values is None else values)
             return np.broadcast_to(array, (n,)) if array.ndim == 0 else array
 
@@ -273,7 +278,7 @@ class Boxes(Columns):
         return int(self.xyxy_px.shape[0])
 
 
-_UNBOUND: dict[str, Any] = {
+_UNBOUND: dict[str, type[np.generic]] = {
     "frame": np.int64,
     "time_utc_s": np.float64,
     "source": np.str_,
@@ -283,7 +288,7 @@ _UNBOUND: dict[str, Any] = {
 """Columns of boxes in which any value may stand, and their types."""
 
 
-def _joined_columns(tables: Sequence[Any], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+def _joined_columns(tables: Sequence[object], names: Sequence[str]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([getattr(table, name) for table in tables]) for name in names}
 
 
@@ -583,7 +588,7 @@ class BodyPositions(Columns):
         return np.isfinite(self.starboard_m)
 
 
-def _freeze_places(table: Any, first: str, second: str) -> None:
+def _freeze_places(table: EastNorthPositions | BodyPositions, first: str, second: str) -> None:
     n = np.size(getattr(table, first))
     _freeze(table, first, getattr(table, first), np.float64, (n,))
     _freeze(table, second, getattr(table, second), np.float64, (n,))
@@ -610,7 +615,7 @@ class BoxesWith(Boxes):
         _check_rows(self, getattr(self, self._companion), self._companion)
 
     @classmethod
-    def at(cls, boxes: Boxes, table: Any) -> Self:
+    def at(cls, boxes: Boxes, table: Sized) -> Self:
         """Boxes with their companion table.
 
         Args:
@@ -626,19 +631,19 @@ class BoxesWith(Boxes):
         made.__dict__[cls._companion] = table
         return made
 
-    def __getitem__(self, rows: Any) -> Self:
+    def __getitem__(self, rows: Rows) -> Self:
         """See `Boxes`."""
         chosen = super().__getitem__(rows)
         chosen.__dict__[self._companion] = getattr(self, self._companion)[rows]
         return chosen
 
     @classmethod
-    def _joined(cls, tables: Sequence[Any]) -> Boxes:
+    def _joined(cls, tables: Sequence[Boxes]) -> Boxes:
         parts = [getattr(table, cls._companion) for table in tables]
         columns = _joined_columns(parts, parts[0]._row_fields)
         joined = tables[0]._unchecked(_joined_columns(tables, Boxes._row_fields))
         joined.__dict__[cls._companion] = parts[0]._unchecked(columns)
-        return joined  # type: ignore[no-any-return]
+        return joined
 
     def with_columns(self, **columns: ArrayLike) -> Boxes:
         """See `Boxes`; the companion table is dropped where it holds no longer."""
@@ -654,7 +659,7 @@ class BoxesWith(Boxes):
         return plain
 
 
-def _check_rows(boxes: Boxes, table: Any, name: str) -> None:
+def _check_rows(boxes: Boxes, table: Sized, name: str) -> None:
     if len(table) != len(boxes):
         raise InputError(f"{len(boxes)} boxes and {len(table)} rows of {name}; each needs one")
 

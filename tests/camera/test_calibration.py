@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sightline.camera.calibration import CameraFit, fit_camera
+from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
 from sightline.camera.observations import PointCorrespondences
 from sightline.camera.parameters import CAMERA, HEADING, LOG_FOCAL, PARAMETERS, PITCH, TARGET
 from sightline.camera.pinhole import Camera
@@ -19,6 +19,7 @@ from sightline.types import FloatArray
 SIZE = (1280, 720)
 NOISE = PixelNoise(row_px=1.0, row_m=0.1, column_px=2.0, place_m=0.5)
 SEEDS = range(10)
+QUICK = CameraFitSettings(starts=2)
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,9 @@ def plant(
 
 
 def fit_world(world: World, sources: int = 1, starts: int = 3) -> CameraFit:
-    return fit_camera(world.sightings, SIZE, n_sources=sources, starts=starts)
+    return fit_camera(
+        world.sightings, SIZE, n_sources=sources, settings=CameraFitSettings(starts=starts)
+    )
 
 
 def difference(fit: CameraFit, camera: Camera) -> FloatArray:
@@ -307,7 +310,7 @@ def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
     for seed in SEEDS:
         world = plant(seed, bias=planted)
         for beliefs, off in (({0: belief}, believed), (None, untold)):
-            fit = fit_camera(world.sightings, SIZE, n_sources=1, beliefs=beliefs, starts=2)
+            fit = fit_camera(world.sightings, SIZE, n_sources=1, beliefs=beliefs, settings=QUICK)
             off.append(difference(fit, world.camera)[PITCH])
             if beliefs:
                 assert abs(off[-1]) < 3.5 * np.sqrt(fit.covariance[PITCH, PITCH])
@@ -502,7 +505,9 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
     sigmas = [
         np.sqrt(
             np.diag(
-                fit_camera(s, SIZE, n_sources=1, prior=known, noise=noise, starts=2).covariance
+                fit_camera(
+                    s, SIZE, n_sources=1, prior=known, noise=noise, settings=QUICK
+                ).covariance
             )[CAMERA]
         )
         for s in (once, twice, apart)
@@ -545,7 +550,7 @@ def test_boxes_that_err_alike_within_a_recording_tell_less(alike_px: float) -> N
             SIZE,
             n_sources=1,
             prior=JUST_THE_CAMERA,
-            starts=2,
+            settings=QUICK,
         )
         total += squared(difference(fit, world.camera), fit.covariance[:count, :count])
     low, high = chi2.ppf([0.005, 0.995], 12 * count)
@@ -568,7 +573,7 @@ def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
                     n_sources=1,
                     prior=JUST_THE_CAMERA,
                     noise=replace(NOISE, correlated_m=0.0),
-                    starts=2,
+                    settings=QUICK,
                 ).covariance
             )[: len(PARAMETERS)]
         )

@@ -7,7 +7,13 @@ from pond import BOAT_RGB, SIZE_PX, picture
 from scipy import ndimage
 
 from sightline.errors import InputError
-from sightline.training.augmentation import Augmentation, Batches, rotate_boxes, rotate_image
+from sightline.training.augmentation import (
+    Augmentation,
+    Batches,
+    BatchSettings,
+    rotate_boxes,
+    rotate_image,
+)
 from sightline.training.data import Picture, Sprite
 
 PLAIN = Augmentation(
@@ -45,7 +51,7 @@ def _red(image: torch.Tensor) -> torch.Tensor:
 def _batches(augmentation: Augmentation, **settings: object) -> Batches:
     pictures = [_picture([(60, 70, 120, 100)], 1), _picture([(150, 90, 200, 120)], 2)]
     chosen: dict[str, object] = {"size_px": (128, 96), "batch": 6, "seed": 4, **settings}
-    return Batches(pictures, [], [], augmentation, **chosen)  # type: ignore[arg-type]
+    return Batches(pictures, [], [], augmentation, BatchSettings(**chosen))  # type: ignore[arg-type]
 
 
 def test_a_batch_is_a_function_of_its_number() -> None:
@@ -118,10 +124,7 @@ def test_pasted_boats_are_labelled_and_sized_by_their_row() -> None:
         [],
         [sprite],
         Augmentation(**{**PLAIN.__dict__, "paste": True, "scales": (1.0, 1.0)}),
-        size_px=SIZE_PX,
-        batch=8,
-        seed=0,
-        vanishing_row_px=40.0,
+        BatchSettings(size_px=SIZE_PX, batch=8, seed=0, vanishing_row_px=40.0),
     )
     found = []
     for number in range(12):
@@ -185,10 +188,7 @@ def test_boxes_are_where_the_pixels_of_their_crop_say(scale: float) -> None:
     settings = Augmentation(**{**PLAIN.__dict__, "scales": (scale, scale), "native_share": 0.0})
     batches = Batches(
         *([_chart(boxes)], [], [], settings),
-        size_px=(32, 24),
-        batch=8,
-        seed=1,
-        smallest_px=(0.1, 0.1),
+        BatchSettings(size_px=(32, 24), batch=8, seed=1, smallest_px=(0.1, 0.1)),
     )
     seen = {"whole": 0, "cut": 0, "mostly out": 0, "out": 0}
     for number in range(12):
@@ -292,7 +292,7 @@ def test_a_boat_that_a_rotation_takes_out_of_the_picture_is_not_to_be_found(
         *("a", 0, picture([box], 0), np.array([box], np.float32), np.zeros(1, np.int64)),
         *(np.zeros(1, bool), np.ones(1, np.float32)),
     )
-    batches = Batches([whole], [], [], settings, size_px=SIZE_PX, batch=8, seed=0)
+    batches = Batches([whole], [], [], settings, BatchSettings(SIZE_PX, batch=8, seed=0))
     seen = {True: 0, False: 0}
     for number in range(20):
         for image, target in zip(*batches(number), strict=True):

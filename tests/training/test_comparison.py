@@ -27,6 +27,7 @@ from sightline.training.comparison import (
     TABLE,
     VARIANTS,
     ComparedDetector,
+    ComparisonSettings,
     DetectorComparison,
     augmentation_figure,
     compare_detectors,
@@ -61,9 +62,7 @@ def test_a_detector_is_trained_and_measured_on_a_recording_left_out(
         _recipe(),
         ("b",),
         tmp_path / "out",
-        architectures=("yolov3",),
-        options=SMALL,
-        augmentations=False,
+        ComparisonSettings(("yolov3",), SMALL, augmentations=False),
     )
     (row,) = made.rows
     # Darknet's count for COCO, less 3 x 79 filters of either head, 512 and 256 inputs and a bias;
@@ -140,8 +139,7 @@ def test_what_cannot_be_compared_is_said_before_anything_is_trained(
             recipe,
             test,
             tmp_path / "out",
-            architectures=architectures,
-            augmentations=augmentations,
+            ComparisonSettings(architectures, augmentations=augmentations),
         )
     assert not (tmp_path / "out").exists()
 
@@ -193,7 +191,9 @@ def test_what_measures_is_asked_for_before_anything_is_trained(
     monkeypatch.setitem(sys.modules, "pycocotools", None)
     trained = _fails("yolov3", monkeypatch, None)
     with pytest.raises(InputError, match=r'pycocotools is not .* "sightline\[train\]"'):
-        compare_detectors(scene, _recipe(), ("b",), tmp_path / "out", architectures=("yolov3",))
+        compare_detectors(
+            scene, _recipe(), ("b",), tmp_path / "out", ComparisonSettings(("yolov3",))
+        )
     assert trained == []
 
 
@@ -241,11 +241,7 @@ def _written(folder: Path) -> dict[str, object]:
     return content
 
 
-BOTH = {
-    "architectures": ("yolov3", "yolov4"),
-    "options": SMALL,
-    "augmentations": False,
-}
+BOTH = ComparisonSettings(("yolov3", "yolov4"), SMALL, augmentations=False)
 
 
 def test_one_that_fails_does_not_cost_the_others_their_rows(
@@ -253,7 +249,7 @@ def test_one_that_fails_does_not_cost_the_others_their_rows(
 ) -> None:
     out = tmp_path / "out"
     _fails("yolov3", monkeypatch, ExportError("yolov3.onnx: differs\nby 1.1"))
-    made = compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    made = compare_detectors(scene, _recipe(), ("b",), out, BOTH)
     assert [row.name for row in made.rows] == ["yolov4"]
     assert made.failed == {"yolov3": "yolov3.onnx: differs by 1.1"}
     assert _written(out)["failed"] == made.failed
@@ -268,7 +264,7 @@ def test_when_all_fail_the_first_reason_is_raised(
     _fails("yolov3", monkeypatch, ExportError("differs"))
     with pytest.raises(ExportError, match="differs"):
         compare_detectors(
-            scene, _recipe(), ("b",), tmp_path / "out", **BOTH | {"architectures": ("yolov3",)}
+            scene, _recipe(), ("b",), tmp_path / "out", replace(BOTH, architectures=("yolov3",))
         )
 
 
@@ -299,19 +295,19 @@ def test_rows_are_kept_as_they_come_and_are_not_measured_twice(
     out = tmp_path / "out"
     trained = _fails("yolov4", monkeypatch, KeyboardInterrupt())  # type: ignore[arg-type]
     with pytest.raises(KeyboardInterrupt):
-        compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+        compare_detectors(scene, _recipe(), ("b",), out, BOTH)
     first = _written(out)["detectors"]
     assert list(first) == ["yolov3"]
     assert trained == ["yolov3", "yolov4"]
 
     monkeypatch.undo()
     trained = _fails("yolov4", monkeypatch, None)
-    compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    compare_detectors(scene, _recipe(), ("b",), out, BOTH)
     assert trained == ["yolov4"]
     both = _written(out)["detectors"]
     assert list(both) == ["yolov3", "yolov4"]
     assert both["yolov3"] == first["yolov3"]
-    compare_detectors(scene, _recipe(), ("b",), out, **BOTH)
+    compare_detectors(scene, _recipe(), ("b",), out, BOTH)
     assert trained == ["yolov4"]
     assert _written(out)["detectors"] == both
 
@@ -340,11 +336,11 @@ def test_what_was_measured_of_something_else_is_measured_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     out = tmp_path / "out"
-    one = BOTH | {"architectures": ("yolov3",)}
-    before = compare_detectors(scene, _recipe(), ("b",), out, **one)
+    one = replace(BOTH, architectures=("yolov3",))
+    before = compare_detectors(scene, _recipe(), ("b",), out, one)
     change(scene, out)
     trained = _fails("yolov3", monkeypatch, None)
-    after = compare_detectors(Scene.load(scene.path), _recipe(), ("b",), out, **one)
+    after = compare_detectors(Scene.load(scene.path), _recipe(), ("b",), out, one)
     assert trained == ["yolov3"]
     # The training itself was whole, and is not repeated.
     assert after.rows[0].training_s == before.rows[0].training_s
@@ -353,10 +349,10 @@ def test_what_was_measured_of_something_else_is_measured_anew(
 
 def test_another_recipe_is_said_in_the_row(scene: Scene, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    one = BOTH | {"architectures": ("yolov3",)}
-    compare_detectors(scene, _recipe(), ("b",), out, **one)
+    one = replace(BOTH, architectures=("yolov3",))
+    compare_detectors(scene, _recipe(), ("b",), out, one)
     longer = replace(_recipe(), training=TrainingSettings(steps=3, device="cpu", threads=1))
-    made = compare_detectors(scene, longer, ("b",), out, **BOTH)
+    made = compare_detectors(scene, longer, ("b",), out, BOTH)
     assert [row.name for row in made.rows] == ["yolov4"]
     assert "is of a run with other settings" in made.failed["yolov3"]
 
@@ -384,5 +380,7 @@ def test_the_figure_is_written_with_the_variants_there_are(tmp_path: Path) -> No
 def test_wrong_options_are_said_before_anything_is_trained(scene: Scene, tmp_path: Path) -> None:
     options = SMALL | {"yolov4": {"depth": 3}}
     with pytest.raises(InputError, match="unknown option of yolov4 'depth'"):
-        compare_detectors(scene, _recipe(), ("b",), tmp_path / "out", **BOTH | {"options": options})
+        compare_detectors(
+            scene, _recipe(), ("b",), tmp_path / "out", replace(BOTH, options=options)
+        )
     assert not (tmp_path / "out").exists()

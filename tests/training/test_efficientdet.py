@@ -17,7 +17,7 @@ from torch import nn
 
 from sightline.errors import InputError
 from sightline.training import build
-from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.augmentation import Augmentation, Batches, BatchSettings
 from sightline.training.data import Picture
 from sightline.training.efficientdet import _GroupNorm
 from sightline.training.export import TOLERANCE, export_onnx
@@ -45,7 +45,7 @@ def test_after_a_short_training_on_small_crops_new_pictures_are_nothing_outrageo
         "a", 0, picture([BOX], 0), np.array([BOX], np.float32), np.zeros(1, np.int64),
         np.zeros(1, bool), np.ones(1, np.float32),
     )  # fmt: skip
-    batches = Batches([known], [], [], Augmentation(), size_px=(128, 128), batch=2, seed=1)
+    batches = Batches([known], [], [], Augmentation(), BatchSettings((128, 128), batch=2, seed=1))
     torch.manual_seed(5)
     trainable = build("efficientdet-d0", ("boat",))
     settings = TrainingSettings(

@@ -20,7 +20,7 @@ from safetensors.torch import load_file
 from sightline.errors import InputError
 from sightline.training import ARCHITECTURES, Prediction, Target, Trainable, build, loop
 from sightline.training.architecture import _MODULES
-from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.augmentation import Augmentation, Batches, BatchSettings
 from sightline.training.data import Picture
 from sightline.training.export import TOLERANCE, ExportError, export_onnx
 from sightline.training.loop import (
@@ -69,7 +69,7 @@ def _pictures() -> list[Picture]:
 
 
 def _batches(size_px: tuple[int, int] = (128, 128)) -> Batches:
-    return Batches(_pictures(), [], [], Augmentation(), size_px=size_px, batch=2, seed=1)
+    return Batches(_pictures(), [], [], Augmentation(), BatchSettings(size_px, batch=2, seed=1))
 
 
 def _train(folder: Path, name: str, steps: int, kill_at: int = 0) -> Trainable:
@@ -190,7 +190,7 @@ def test_harbour_learns_to_find_a_boat() -> None:
         compression=False, scales=(0.8, 1.2),
     )  # fmt: skip
     pictures = [replace(one, labels=np.zeros(1, np.int64)) for one in _pictures()]
-    batches = Batches(pictures, [], [], plain, size_px=(160, 128), batch=4, seed=0)
+    batches = Batches(pictures, [], [], plain, BatchSettings((160, 128), batch=4, seed=0))
     trainable.module.train()
     for number in range(160):
         optimizer.param_groups[0]["lr"] = 4e-3 * (1.0 - number / 160.0)

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from pond import BOAT_RGB, SIZE_PX, picture
 
-from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.augmentation import Augmentation, Batches, BatchSettings
 from sightline.training.data import Picture, Sprite
 from sightline.training.wash import Hull, draw_wash, hull_of, inner
 
@@ -150,10 +150,7 @@ def _batches(*, wash: bool, paste: bool, boat_px: tuple[int, int] = (28, 14)) ->
         [],
         [sprite],
         settings,
-        size_px=SIZE_PX,
-        batch=8,
-        seed=2,
-        vanishing_row_px=40.0,
+        BatchSettings(size_px=SIZE_PX, batch=8, seed=2, vanishing_row_px=40.0),
     )
 
 

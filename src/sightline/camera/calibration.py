@@ -161,6 +161,23 @@ class CameraFit:
         return np.asarray(sigma < _KNOWN_AT * self.prior_sigma[TARGET])
 
 
+@dataclass(frozen=True)
+class CameraFitSettings:
+    """How a camera is fitted.
+
+    Attributes:
+        position_known: Whether the origin of the plane is where the camera is said to stand.
+        heaving: Whether the camera is on a vessel, whose heave is to be told from the log's errors.
+        starts: How many random starting cameras, the first at the prior's mean.
+        seed: Of the random starts.
+    """
+
+    position_known: bool = True
+    heaving: bool = False
+    starts: int = 8
+    seed: int = 0
+
+
 def fit_camera(
     sightings: PointCorrespondences,
     image_size_px: tuple[int, int],
@@ -169,10 +186,7 @@ def fit_camera(
     prior: CameraPrior | None = None,
     beliefs: Mapping[int, SourcePrior] | None = None,
     noise: PixelNoise | None = None,
-    position_known: bool = True,
-    heaving: bool = False,
-    starts: int = 8,
-    seed: int = 0,
+    settings: CameraFitSettings | None = None,
 ) -> CameraFit:
     """Fit the camera and the lower-edge bias of each source to point correspondences.
 
@@ -183,28 +197,24 @@ def fit_camera(
         prior: Beliefs about the camera; absent: those of an ordinary camera.
         beliefs: Priors of single sources, of which more is known than the prior says.
         noise: Noise of a foot, taken as known; absent: estimated from the residuals.
-        position_known: Whether the origin of the plane is where the camera is said to stand.
-        heaving: Whether the camera is on a vessel, whose heave is to be told from the log's errors.
-        starts: How many random starting cameras, the first at the prior's mean.
-        seed: Of the random starts.
+        settings: How the camera is fitted.
 
     Raises:
         FitError: Too few points, all in one place, or no start that puts them before the camera.
     """
     _check_enough(sightings)
-    prior = prior or CameraPrior()
+    prior, settings = prior or CameraPrior(), settings or CameraFitSettings()
+    starts, known, heaving = max(settings.starts, 1), settings.position_known, settings.heaving
     chosen = thinned(sightings.time_s, sightings.log)
-    everything = _Problem(
-        sightings, image_size_px, n_sources, prior, position_known, beliefs, heaving
-    )
+    everything = _Problem(sightings, image_size_px, n_sources, prior, known, beliefs, heaving)
     problem = everything
     if chosen.size < len(sightings):
         problem = _Problem(
-            sightings[chosen], image_size_px, n_sources, prior, position_known, beliefs, heaving
+            sightings[chosen], image_size_px, n_sources, prior, known, beliefs, heaving
         )
     found: list[tuple[float, FloatArray]] = []
     assumed = noise or PixelNoise()
-    for start in problem.starts(max(starts, 1), np.random.default_rng(seed)):
+    for start in problem.starts(starts, np.random.default_rng(settings.seed)):
         solution = problem.solve(start, assumed.scaled(_WIDE), evaluations=50)
         if solution is not None:
             solution = problem.solve(solution[1], assumed, evaluations=50)
@@ -239,7 +249,7 @@ def fit_camera(
         end = problem.refine(np.append(nearer[1], 0.0), estimated) if nearer else None
         if end is not None:
             ends.append(end.vector)
-    fit = problem.summarise(best, estimated, ends, max(starts, 1))
+    fit = problem.summarise(best, estimated, ends, starts)
     return fit if problem is everything else everything.with_all(fit, chosen)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -75,7 +75,7 @@ def progress() -> Iterator[Tell]:
         yield tell
 
 
-def write_result(path: Path | None, content: Mapping[str, Any]) -> None:
+def write_result(path: Path | None, content: Mapping[str, object]) -> None:
     """Write a command's result to ``--json``, if it is given."""
     if path is not None:
         from sightline.evaluation.report import write_json

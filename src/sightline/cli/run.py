@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -79,13 +79,13 @@ def tell_result(result: RunResult, paths: dict[str, Path]) -> None:
         say(f"{what + ':':9} {path}")
 
 
-def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, Any]:
+def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, object]:
     """The result as JSON has it: the report of the tracks, that of single boxes, and the files.
 
     Both are of the recordings of ``left_out``, and those of others stand apart; where nothing was
     left out, they are of recordings that the model learned from.
     """
-    out: dict[str, Any] = result.smoothed.to_dict() if result.smoothed is not None else {}
+    out: dict[str, object] = result.smoothed.to_dict() if result.smoothed is not None else {}
     out["single"] = result.single.to_dict() if result.single is not None else None
     out["left_out"] = list(result.left_out)
     apart = {"smoothed": result.smoothed_learned_from, "single": result.single_learned_from}

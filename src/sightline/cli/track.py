@@ -6,7 +6,7 @@ import os
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -145,7 +145,7 @@ def track(
             for writer in writers:
                 writer.add(made)
     written = [str(path) for path in output]
-    result: dict[str, Any] = {"tracks": count, "points": points, "files": written}
+    result: dict[str, object] = {"tracks": count, "points": points, "files": written}
     if ahead:
         result["forecasts"] = [str(path) for path in ahead]
     write_result(json, result)

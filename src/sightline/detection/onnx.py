@@ -420,7 +420,7 @@ class _Network:
         return np.ascontiguousarray(blob, dtype=dtype)
 
 
-def _whole(length: Any) -> bool:
+def _whole(length: object) -> bool:
     return isinstance(length, int) and length > 0
 
 

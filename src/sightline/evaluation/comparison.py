@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -45,9 +44,9 @@ class Comparison:
     models: Mapping[str, Report]
     smoothed: Mapping[str, Report] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """The comparison as JSON has it."""
-        out: dict[str, Any] = {
+        out: dict[str, object] = {
             "models": {name: report.to_dict() for name, report in self.models.items()}
         }
         if self.smoothed:

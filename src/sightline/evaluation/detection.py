@@ -13,7 +13,6 @@ import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -87,7 +86,7 @@ class DetectionReport:
     mean_giou: float
     foot_px: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """The report as JSON has it."""
         return asdict(self)
 
@@ -215,8 +214,8 @@ def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
     from pycocotools.coco import COCO
     from pycocotools.cocoeval import COCOeval
 
-    drawn: list[dict[str, Any]] = []
-    found: list[dict[str, Any]] = []
+    drawn: list[dict[str, object]] = []
+    found: list[dict[str, object]] = []
     for image, frame in enumerate(frames, start=1):
         for box, ignored in zip(frame.truth_xyxy_px, frame.ignored, strict=True):
             x, y, width, height = _xywh(box)

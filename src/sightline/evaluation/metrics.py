@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
@@ -90,7 +89,7 @@ class ScoredPairs:
         if self.asked < n:
             raise InputError(f"{n} pairs cannot come from {self.asked} times")
 
-    def _freeze(self, name: str, array: Any, shape: tuple[int, ...]) -> None:
+    def _freeze(self, name: str, array: NDArray[np.generic], shape: tuple[int, ...]) -> None:
         if array.shape != shape:
             raise InputError(f"ScoredPairs.{name} has shape {array.shape}, expected {shape}")
         array.flags.writeable = False

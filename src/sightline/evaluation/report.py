@@ -7,7 +7,6 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,7 +32,7 @@ from sightline.evaluation.metrics import (
 )
 from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S
-from sightline.types import Fixes, Positions, Track, rfc3339
+from sightline.types import Fixes, FloatArray, Positions, Track, rfc3339
 
 LEAST_OVERLAP_S = 5.0
 """A track that meets the log for less is not taken for the target while another meets it longer."""
@@ -74,7 +73,7 @@ class TracksUsed:
     chosen_by: str
 
 
-def _coverage_dict(coverage: Coverage) -> dict[str, Any]:
+def _coverage_dict(coverage: Coverage) -> dict[str, object]:
     """The coverage as JSON has it: the key of the log's error is that of release 0.1."""
     out = asdict(coverage)
     return {"log_sigma_m" if key == "reference_sigma_m" else key: out[key] for key in out}
@@ -106,15 +105,15 @@ class Report:
     tracks: TracksUsed | None = None
     forecast: Mapping[str, ForecastError] | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """The report as JSON has it; NaN and infinities become None."""
         return {
             **self._own(),
             "recordings": {name: report._own() for name, report in self.recordings.items()},
         }
 
-    def _own(self) -> dict[str, Any]:
-        out: dict[str, Any] = {
+    def _own(self) -> dict[str, object]:
+        out: dict[str, object] = {
             "ape": asdict(self.ape),
             "rpe": asdict(self.rpe),
             "coverage": _coverage_dict(self.coverage),
@@ -126,8 +125,7 @@ class Report:
             out["tracks"] = {**asdict(self.tracks), "used": list(self.tracks.used)}
         if self.forecast is not None:
             out["forecast"] = {ahead: asdict(error) for ahead, error in self.forecast.items()}
-        plain: dict[str, Any] = without_nan(out)
-        return plain
+        return {key: without_nan(value) for key, value in out.items()}
 
     def without_camera(self) -> Report:
         """The report without what needs the camera's place, for tracks that do not tell it."""
@@ -149,7 +147,7 @@ class Report:
         write_json(path, self.to_dict())
 
 
-def without_nan(value: Any) -> Any:
+def without_nan(value: object) -> object:
     """A copy of nested dicts and lists in which numbers that are not finite are None."""
     if isinstance(value, Mapping):
         return {key: without_nan(item) for key, item in value.items()}
@@ -160,7 +158,7 @@ def without_nan(value: Any) -> Any:
     return value
 
 
-def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
+def write_json(path: str | Path, content: Mapping[str, object]) -> None:
     """Write JSON without NaN, atomically.
 
     Args:
@@ -465,7 +463,7 @@ def _where(name: str) -> str:
 
 def _refuse_nothing(
     pairs: ScoredPairs,
-    times: np.ndarray[Any, np.dtype[np.float64]],
+    times: FloatArray,
     logs: list[Fixes],
     gap_s: float,
 ) -> None:

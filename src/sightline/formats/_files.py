@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
-from sightline.types import BoolArray, Fixes, FloatArray, from_datetime64
+from sightline.types import BoolArray, Fixes, FloatArray, StrArray, from_datetime64
 
 _SNIFFED_BYTES = 65536
 # What pandas takes for an empty cell of a column of numbers.
@@ -152,9 +152,9 @@ def _check_columns(
 
 def refuse(
     path: str | os.PathLike[str],
-    lines: Any,
+    lines: ArrayLike,
     bad: BoolArray,
-    values: Any,
+    values: ArrayLike,
     reason: str,
     *,
     row: str = "line",
@@ -231,10 +231,10 @@ def times(
 
 def fixes(
     path: str | os.PathLike[str],
-    rows: Any,
-    time_utc_s: Any,
-    latitude_deg: Any,
-    longitude_deg: Any,
+    rows: ArrayLike,
+    time_utc_s: ArrayLike,
+    latitude_deg: ArrayLike,
+    longitude_deg: ArrayLike,
     *,
     name: str = "",
     row: str = "line",
@@ -256,19 +256,20 @@ def fixes(
     when, latitude, longitude = (
         np.asarray(values, dtype=np.float64) for values in (time_utc_s, latitude_deg, longitude_deg)
     )
+    numbers = np.asarray(rows)
     bad = ~((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0))
     if bad.any():
         i = int(np.argmax(bad))
         raise InputError(
-            f"{path}, {row} {rows[i]}: latitude {latitude[i]:g}, longitude {longitude[i]:g} is not "
-            "on the earth; latitudes lie within ±90 degrees, longitudes within ±180 "
+            f"{path}, {row} {numbers[i]}: latitude {latitude[i]:g}, longitude {longitude[i]:g} is "
+            "not on the earth; latitudes lie within ±90 degrees, longitudes within ±180 "
             "(are the columns swapped?)"
         )
     backwards = np.diff(when) < 0.0
     if backwards.any():
         i = int(np.argmax(backwards)) + 1
         raise InputError(
-            f"{path}, {row} {rows[i]}: {rfc3339(when[i])} is earlier than the fix before it; "
+            f"{path}, {row} {numbers[i]}: {rfc3339(when[i])} is earlier than the fix before it; "
             "the times of a log must not decrease"
         )
     return Fixes(when, latitude, longitude, name=name)
@@ -279,11 +280,11 @@ def xml_text(text: str) -> str:
     return _NOT_IN_XML.sub("\ufffd", text)
 
 
-def milliseconds(time_utc_s: Any) -> NDArray[np.datetime64]:
+def milliseconds(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:
     """POSIX seconds, rounded, as ``datetime64[ms]``."""
     return np.round(np.asarray(time_utc_s, dtype=float) * 1000.0).astype("datetime64[ms]")
 
 
-def rfc3339(time_utc_s: Any) -> Any:
+def rfc3339(time_utc_s: ArrayLike) -> StrArray:
     """POSIX seconds as RFC 3339 text with milliseconds and ``Z``; (N,) gives (N,) str."""
     return np.char.add(np.datetime_as_string(milliseconds(time_utc_s)), "Z")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from sightline.camera.calibration import CameraFit, fit_camera
+from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
 from sightline.camera.correlated_noise import LogError
 from sightline.camera.parameters import (
     CAMERA_AND_TARGET,
@@ -125,10 +125,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 if name in self.sources_
             },
             noise=PixelNoise(correlated_m=0.0) if n == 0 else None,
-            position_known=self.position_known,
-            heaving=self.heaving,
-            starts=self.starts,
-            seed=self.random_state,
+            settings=CameraFitSettings(
+                position_known=self.position_known,
+                heaving=self.heaving,
+                starts=self.starts,
+                seed=self.random_state,
+            ),
         )
         self.n_features_in_ = 4
         self.typical_speed_mps_ = float(np.sqrt(np.mean(o.velocity_mps**2) * 2.0)) if n else 0.0

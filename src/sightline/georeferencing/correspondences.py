@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from sightline.geodesy import LocalPlane
-from sightline.types import BoolArray, Boxes, FloatArray, StrArray
+from sightline.types import BoolArray, Boxes, FloatArray, Rows, StrArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Correspondences:
             plane=plane,
         )
 
-    def __getitem__(self, rows: Any) -> Self:
+    def __getitem__(self, rows: Rows) -> Self:
         return replace(
             self,
             boxes=self.boxes[rows],

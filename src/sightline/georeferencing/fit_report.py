@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Correspondences
@@ -113,10 +114,9 @@ class FitReport:
     boxes: tuple[FittedBox, ...] = ()
     statements: tuple[str, ...] = ()
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """The report as JSON can hold it; NaN and infinities become None."""
-        content: dict[str, Any] = _jsonable(asdict(self))
-        return content
+        return {key: _jsonable(value) for key, value in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> FitReport:
@@ -127,7 +127,7 @@ class FitReport:
             TypeError: There are others than there should be.
         """
 
-        def number(value: Any) -> float:
+        def number(value: float | None) -> float:
             return float("nan") if value is None else float(value)
 
         fields = dict(content)
@@ -143,7 +143,7 @@ class FitReport:
         return cls(**fields)
 
 
-def _jsonable(value: Any) -> Any:
+def _jsonable(value: object) -> object:
     if isinstance(value, dict):
         return {str(k): _jsonable(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -252,7 +252,7 @@ def _camera_report(
 
 def _statements(
     parameters: list[Parameter],
-    fitted: Any,
+    fitted: CameraFit,
     pairs: Correspondences,
     control_points: int,
     outlier: BoolArray,

@@ -335,7 +335,7 @@ class Georeferencer:
             InputError: The file cannot be written.
         """
         arrays, settings = self.regressor.state()
-        content: dict[str, Any] = {
+        content: dict[str, object] = {
             "model": self.model,
             "plane": [self.plane.latitude_deg, self.plane.longitude_deg],
             "image_size_px": list(self.image_size_px),
@@ -430,7 +430,7 @@ def _view(tensors: dict[str, Any], landmarks: bool) -> ReferenceView | None:
     return ReferenceView(strips, top_px, left_px, landmarks)
 
 
-def _finite(value: Any) -> float | None:
+def _finite(value: float | None) -> float | None:
     if value is None:
         return None
     if not math.isfinite(float(value)):

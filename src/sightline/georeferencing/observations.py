@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from sightline.camera.observations import NO_SOURCE, Landmarks, PointCorrespondences
 from sightline.errors import FitError, InputError
@@ -166,7 +166,7 @@ def _numbered(names: NDArray[Any]) -> IntArray:
     return np.unique(names, return_inverse=True)[1].astype(np.int64)
 
 
-def _column(values: NDArray[Any], absent: NDArray[Any], dtype: Any) -> NDArray[Any]:
+def _column(values: NDArray[Any], absent: NDArray[Any], dtype: DTypeLike | None) -> NDArray[Any]:
     return np.asarray(values if np.size(values) else absent, dtype=dtype)
 
 

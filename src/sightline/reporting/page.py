@@ -16,7 +16,6 @@ from importlib.metadata import version
 from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -457,7 +456,7 @@ class _Map:
     metres_per_px: float
     rings: list[_Ring]
     recordings: list[_MapRecording]
-    data: dict[str, Any]
+    data: object
     has_boxes: bool
     has_tracks: bool
     has_log: bool
@@ -624,7 +623,7 @@ def _ellipses(covariance_m2: FloatArray, places: FloatArray, most: int) -> list[
     ]
 
 
-def _series(recording: str, track: Track, fixes: Fixes | None) -> dict[str, Any]:
+def _series(recording: str, track: Track, fixes: Fixes | None) -> dict[str, object]:
     shape = ellipses(track.covariance_m2, _PROBABILITY)
     return {
         "recording": recording,
@@ -643,7 +642,7 @@ def _series(recording: str, track: Track, fixes: Fixes | None) -> dict[str, Any]
     }
 
 
-def _box_series(recording: str, pairs: ScoredPairs) -> dict[str, Any]:
+def _box_series(recording: str, pairs: ScoredPairs) -> dict[str, object]:
     shape = ellipses(pairs.covariance_m2, _PROBABILITY)
     return {
         "recording": recording,

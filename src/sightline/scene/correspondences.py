@@ -128,12 +128,12 @@ def scene_correspondences(
         if platform is not None:
             pose = platform.pose(boxes.time_utc_s, plane)
             en_m, velocity_mps = to_bow(en_m, pose), turned(velocity_mps, pose.heading_rad)
-        rows = np.isfinite(en_m).all(axis=1)
+        rows = np.flatnonzero(np.isfinite(en_m).all(axis=1))
         times = boxes.time_utc_s[rows]
         parts.append(
             Correspondences(
                 boxes=boxes[rows],
-                recording=np.full(int(rows.sum()), recording.name),
+                recording=np.full(rows.size, recording.name),
                 east_north_m=en_m[rows],
                 velocity_mps=np.nan_to_num(velocity_mps[rows]),
                 asked=asked,

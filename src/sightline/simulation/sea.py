@@ -43,6 +43,10 @@ _BANDS = (
     _Waves(side_m=260.0, shortest_m=6.0, longest_m=24.0, strength=0.42),
 )
 
+# The loop's length, and how many pictures it has a second.
+_PERIOD_S = 6.0
+_RATE_HZ = 12.0
+
 
 class Sea:
     """A loop of the water as the camera sees it.
@@ -60,9 +64,6 @@ class Sea:
         backdrop: Image32,
         cover: Image32,
         shading: Image32,
-        *,
-        period_s: float = 6.0,
-        rate_hz: float = 12.0,
     ) -> None:
         """Paint the loop.
 
@@ -74,11 +75,8 @@ class Sea:
             backdrop: (H, W, 3) what is seen above the water.
             cover: (H, W, 1) how far that hides the water.
             shading: (H, W, 1) what the lens leaves of the light.
-            period_s: Length of the loop.
-            rate_hz: Pictures a second.
         """
-        self._period_s = period_s
-        self._count = round(period_s * rate_hz)
+        self._count = round(_PERIOD_S * _RATE_HZ)
         below = rays[..., 2] < 0.0
         self.top_row = int(np.argmax(below.any(axis=1)))
         rays = rays[self.top_row :]
@@ -100,7 +98,7 @@ class Sea:
 
     def at(self, time_s: float) -> Image:
         """(H - top_row, W, 3) uint8, the water and what shows above it."""
-        phase = (time_s / self._period_s) % 1.0
+        phase = (time_s / _PERIOD_S) % 1.0
         return self._frames[int(phase * self._count) % self._count]
 
     def _water(
@@ -141,7 +139,7 @@ class Sea:
         far = (0.55 * gusts * footprint / (footprint + 1.5)).astype(np.float32)
         lookups.append((streak_maps, np.asarray(far, dtype=np.float32)))
 
-        loops = [_wave_loop(rng, band, camera, self._period_s, self._count) for band in _BANDS] + [
+        loops = [_wave_loop(rng, band, camera, _PERIOD_S, self._count) for band in _BANDS] + [
             _shimmer_loop(rng, self._count)
         ]
         # A slope that leans back mirrors the bright sky, one that leans forward shows the deep.

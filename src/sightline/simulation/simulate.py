@@ -6,14 +6,14 @@ import csv
 import json
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import reduce
 from operator import xor
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import gpxpy.gpx
 import numpy as np
@@ -214,7 +214,7 @@ def simulate(
                 _write_horizon(folder / "horizon" / f"{recording.name}.csv", harbour, recording, i)
     talkers = [boat for boat in harbour.boats if boat.shape.kind == "ferry"]
     _write_ais(folder / "ais.nmea", harbour, [harbour.target, *talkers])
-    settings = {
+    settings: dict[str, object] = {
         "seed": seed,
         "clock": clock,
         "annotator": asdict(annotator),
@@ -306,7 +306,7 @@ def _write_boxes(
     track: bool = False,
 ) -> None:
     header = ["frame", "x1", "y1", "x2", "y2"]
-    columns: list[list[Any]] = [
+    columns: list[list[object]] = [
         boxes.frame.tolist(),
         *(np.round(boxes.xyxy_px[:, i], 2).tolist() for i in range(4)),
     ]
@@ -396,7 +396,7 @@ def _write_ais(path: Path, harbour: Harbour, boats: list[Boat]) -> None:
 
 
 def _write_truth(
-    folder: Path, harbour: Harbour, shot: list[Recording], settings: dict[str, Any]
+    folder: Path, harbour: Harbour, shot: list[Recording], settings: dict[str, object]
 ) -> None:
     times = np.concatenate([recording.time_utc_s for recording in shot])
     truth = harbour.truth(times, harbour.boats)
@@ -443,7 +443,7 @@ def _write_truth(
         "longitude_deg": harbour.plane.longitude_deg,
         **asdict(harbour.camera),
     }
-    facts: dict[str, Any] = {"camera": camera, "boats": boats, "settings": settings}
+    facts: dict[str, object] = {"camera": camera, "boats": boats, "settings": settings}
     if harbour.knock is not None:
         facts["knock"] = asdict(harbour.knock)
     if platform is not None:
@@ -563,7 +563,7 @@ def _iso(times: FloatArray) -> list[str]:
     return [f"{text}Z" for text in np.datetime_as_string(micro, unit="us")]
 
 
-def _write_rows(path: Path, header: Any, rows: Any) -> None:
+def _write_rows(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)

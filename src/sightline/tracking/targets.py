@@ -147,7 +147,7 @@ class TargetTracker:
             self._keep(kept)
         return ids
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, object]:
         """State of the tracker, as JSON can hold it; see `restore`."""
         return {
             "version": _STATE_VERSION,

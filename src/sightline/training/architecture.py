@@ -90,7 +90,7 @@ class InputFormat:
     pad: int = 114
     stride: int = 32
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """As the metadata of an exported network has it."""
         return {
             "color": self.color,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -92,7 +91,7 @@ class Augmentation:
                 "the smaller one first"
             )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """All settings, as JSON has them."""
         return asdict(self) | {"scales": list(self.scales)}
 
@@ -105,6 +104,27 @@ class _Boxes:
     worth: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class BatchSettings:
+    """Which crops make a batch.
+
+    Attributes:
+        size_px: Width and height of a crop.
+        batch: Crops in a batch.
+        seed: Another seed, other crops.
+        vanishing_row_px: Where boats would be without size; None: they keep theirs.
+        synthetic_share: Of the crops, where there are rendered pictures.
+        smallest_px: Boxes that a scale makes narrower or lower are ignored.
+    """
+
+    size_px: tuple[int, int]
+    batch: int
+    seed: int
+    vanishing_row_px: float | None = None
+    synthetic_share: float = 0.3
+    smallest_px: tuple[float, float] = (6.0, 4.0)
+
+
 class Batches:
     """An endless row of batches, each made of the pictures, its number and the seed alone."""
 
@@ -114,13 +134,7 @@ class Batches:
         backgrounds: Sequence[Picture],
         sprites: Sequence[Sprite],
         augmentation: Augmentation,
-        *,
-        size_px: tuple[int, int],
-        batch: int,
-        seed: int,
-        vanishing_row_px: float | None = None,
-        synthetic_share: float = 0.3,
-        smallest_px: tuple[float, float] = (6.0, 4.0),
+        settings: BatchSettings,
     ) -> None:
         """Prepare.
 
@@ -129,12 +143,7 @@ class Batches:
             backgrounds: Pictures without boats, to paste them into.
             sprites: Boats to paste.
             augmentation: What is done.
-            size_px: Width and height of a crop.
-            batch: Crops in a batch.
-            seed: Another seed, other crops.
-            vanishing_row_px: Where boats would be without size; None: they keep theirs.
-            synthetic_share: Of the crops, where there are rendered pictures.
-            smallest_px: Boxes that a scale makes narrower or lower are ignored.
+            settings: Which crops make a batch.
         """
         self._real = [picture for picture in pictures if picture.real]
         self._rendered = [picture for picture in pictures if not picture.real]
@@ -143,13 +152,13 @@ class Batches:
         self._near = [sprite for sprite in self._sprites if augmentation.wash and _is_near(sprite)]
         self._end_on = [sprite for sprite in self._near if _aspect(sprite) < _END_ON_ASPECT]
         self._settings = augmentation
-        self._size = size_px
-        self._batch = batch
-        self._seed = seed
-        self._vanishing = vanishing_row_px
-        share = synthetic_share if self._real else 1.0
+        self._size = settings.size_px
+        self._batch = settings.batch
+        self._seed = settings.seed
+        self._vanishing = settings.vanishing_row_px
+        share = settings.synthetic_share if self._real else 1.0
         self._synthetic_share = share if self._rendered else 0.0
-        self._smallest = smallest_px
+        self._smallest = settings.smallest_px
 
     def __call__(self, number: int) -> tuple[Tensor, list[Target]]:
         """A batch: (B, 3, H, W) float32, 0 to 1, and what is in each picture."""

@@ -135,16 +135,30 @@ class DetectorComparison:
         }
 
 
+@dataclass(frozen=True)
+class ComparisonSettings:
+    """Which detectors are compared.
+
+    Attributes:
+        architectures: Which.
+        options: Of each architecture.
+        augmentations: Whether YOLOv4 is also trained without either augmentation and without
+            both, as in Figure 2. For that the recipe must have validation recordings.
+    """
+
+    architectures: Sequence[str] = ARCHITECTURES
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    augmentations: bool = True
+
+
 def compare_detectors(
     scene: Scene,
     recipe: Recipe,
     test: Sequence[str],
     folder: Path,
+    settings: ComparisonSettings | None = None,
     *,
-    architectures: Sequence[str] = ARCHITECTURES,
-    options: Mapping[str, Mapping[str, Any]] | None = None,
     labels: Path | None = None,
-    augmentations: bool = True,
     progress: Tell | None = None,
 ) -> DetectorComparison:
     """Train detectors alike, and measure them on recordings that none has seen.
@@ -159,11 +173,8 @@ def compare_detectors(
         recipe: What all have in common; its architecture, augmentation and options are replaced.
         test: Names of the recordings to measure on.
         folder: Where each training gets a folder, and `write_comparison` its files after each.
-        architectures: Which.
-        options: Of each architecture.
+        settings: Which detectors are compared; absent: all.
         labels: A folder with drawn boxes for the test; absent: the scene's own.
-        augmentations: Whether YOLOv4 is also trained without either augmentation and without
-            both, as in Figure 2. For that the recipe must have validation recordings.
         progress: Told what is done, and the share.
 
     Raises:
@@ -172,11 +183,12 @@ def compare_detectors(
         Exception: None could be compared: why the first could not.
     """
     tell = progress if progress is not None else _silent
-    given = dict(options or {})
+    settings = settings or ComparisonSettings()
+    given = dict(settings.options)
     # Before hours of training, whose results could not be measured.
     _optional.module("pycocotools", "train")
-    known = _checked(scene, recipe, test, architectures, given, labels, augmentations)
-    jobs = _jobs(recipe, architectures, given, augmentations)
+    known = _checked(scene, recipe, test, settings, labels)
+    jobs = _jobs(recipe, settings)
     data = _fingerprint(scene, (*recipe.train, *recipe.validation, *test), recipe, labels)
     rows: list[ComparedDetector] = []
     failed: dict[str, str] = {}
@@ -321,10 +333,9 @@ class _Job:
 
 def _jobs(
     recipe: Recipe,
-    architectures: Sequence[str],
-    options: Mapping[str, Mapping[str, Any]],
-    augmentations: bool,
+    settings: ComparisonSettings,
 ) -> list[_Job]:
+    architectures, options = settings.architectures, settings.options
     scales = recipe.augmentation.scales
 
     def own(name: str, augmentation: Augmentation) -> Recipe:
@@ -338,11 +349,11 @@ def _jobs(
             own(name, _usual(name, scales)),
             name,
             row=True,
-            variant=both if augmentations and name == _STUDIED else None,
+            variant=both if settings.augmentations and name == _STUDIED else None,
         )
         for name in architectures
     ]
-    if augmentations:
+    if settings.augmentations:
         jobs += [
             _Job(
                 own(_STUDIED, _augmentation(*parts, scales)),
@@ -360,13 +371,11 @@ def _checked(
     scene: Scene,
     recipe: Recipe,
     test: Sequence[str],
-    architectures: Sequence[str],
-    options: Mapping[str, Mapping[str, Any]],
+    settings: ComparisonSettings,
     labels: Path | None,
-    augmentations: bool,
 ) -> dict[str, Labels]:
     """What is known of the recordings to test on; all that can be refused at once is."""
-    for name in architectures:
+    for name in settings.architectures:
         if name not in ARCHITECTURES:
             raise unknown_name("architecture", name, ARCHITECTURES)
     for name in test:
@@ -375,7 +384,7 @@ def _checked(
                 f"recording {name!r} is both learned from and tested on; a recording can be in one "
                 "part only"
             )
-    if augmentations and not recipe.validation:
+    if settings.augmentations and not recipe.validation:
         raise InputError(
             "how YOLOv4 improves over training needs recordings to look at: --validation NAME,..."
         )
@@ -387,9 +396,10 @@ def _checked(
             "--test NAME,..."
         )
     find_device(recipe.training.device)
-    for name in dict.fromkeys((*architectures, *([_STUDIED] if augmentations else []))):
+    studied = [_STUDIED] if settings.augmentations else []
+    for name in dict.fromkeys((*settings.architectures, *studied)):
         # A wrong option is said before hours are spent on the others.
-        build(name, recipe.labels.class_names, **options.get(name, {}))
+        build(name, recipe.labels.class_names, **settings.options.get(name, {}))
     return known
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ from sightline.formats.boxes_csv import usable
 from sightline.formats.labels import EMPTY_TABLE, Margin, empty_frames, parse_margins, tables_folder
 from sightline.scene import Recording, Scene
 from sightline.simulation import Harbour, Renderer
-from sightline.types import BoolArray, Boxes, FloatArray, IntArray
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Rows
 
 Image = NDArray[np.uint8]
 
@@ -136,7 +135,7 @@ class _Known:
     ignore: BoolArray
     worth: FloatArray
 
-    def __getitem__(self, rows: Any) -> _Known:
+    def __getitem__(self, rows: Rows) -> _Known:
         return _Known(
             self.boxes_xyxy_px[rows], self.labels[rows], self.ignore[rows], self.worth[rows]
         )
@@ -541,9 +540,9 @@ def synthetic_pictures(
     return made
 
 
-def digest(pictures: Sequence[Picture]) -> dict[str, Any]:
+def digest(pictures: Sequence[Picture]) -> dict[str, object]:
     """How many pictures and boxes there are, and a hash of them all, by recording."""
-    result: dict[str, Any] = {}
+    result: dict[str, object] = {}
     for name in dict.fromkeys(picture.recording for picture in pictures):
         own = [picture for picture in pictures if picture.recording == name]
         joined = hashlib.sha256("".join(picture.digest for picture in own).encode())

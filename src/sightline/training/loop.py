@@ -194,7 +194,7 @@ def train(
     validation: Sequence[Picture],
     settings: TrainingSettings,
     folder: Path,
-    configuration: Mapping[str, Any],
+    configuration: Mapping[str, object],
     *,
     progress: Callable[[str, float], None] | None = None,
 ) -> TrainingResult:
@@ -660,7 +660,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _write_configuration(folder: Path, content: Mapping[str, Any]) -> None:
+def _write_configuration(folder: Path, content: Mapping[str, object]) -> None:
     path = folder / CONFIGURATION
     if path.exists():
         if (folder / CHECKPOINT).exists():

@@ -7,14 +7,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
 
 from sightline.errors import InputError
 from sightline.scene import Scene
 from sightline.training.architecture import build
-from sightline.training.augmentation import Augmentation, Batches
+from sightline.training.augmentation import Augmentation, Batches, BatchSettings
 from sightline.training.data import (
     Labels,
     backgrounds,
@@ -65,7 +64,7 @@ class Recipe:
     batch: int = 16
     augmentation: Augmentation = field(default_factory=Augmentation)
     training: TrainingSettings = field(default_factory=TrainingSettings)
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, object] = field(default_factory=dict)
     initial: Path | None = None
 
     def __post_init__(self) -> None:
@@ -97,7 +96,7 @@ class TrainedDetector:
     parameters: int
     export_difference: float
     training: TrainingResult
-    data: Mapping[str, Any]
+    data: Mapping[str, object]
 
 
 def train_detector(
@@ -156,10 +155,12 @@ def train_detector(
         backgrounds(train_pictures) if recipe.augmentation.paste else [],
         pasted,
         recipe.augmentation,
-        size_px=(size[0], size[1]),
-        batch=recipe.batch,
-        seed=recipe.training.seed,
-        vanishing_row_px=vanishing_row_px(train_pictures),
+        BatchSettings(
+            size_px=(size[0], size[1]),
+            batch=recipe.batch,
+            seed=recipe.training.seed,
+            vanishing_row_px=vanishing_row_px(train_pictures),
+        ),
     )
     folder.mkdir(parents=True, exist_ok=True)
     configuration = {

@@ -146,5 +146,5 @@ def read_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _are_names(value: Any) -> bool:
+def _are_names(value: object) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(name, str) for name in value)

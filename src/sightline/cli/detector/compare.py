@@ -90,6 +90,7 @@ def compare(
         COMPARISON,
         HEADINGS,
         ComparisonError,
+        ComparisonSettings,
         compare_detectors,
         comparison_cells,
     )
@@ -130,10 +131,12 @@ def compare(
             recipe,
             for_test,
             output,
-            architectures=parse_distinct_names("--arch", arch),
-            options=parse_options_by_architecture(option or [], ARCHITECTURES),
+            ComparisonSettings(
+                architectures=parse_distinct_names("--arch", arch),
+                options=parse_options_by_architecture(option or [], ARCHITECTURES),
+                augmentations=augmentations,
+            ),
             labels=labels,
-            augmentations=augmentations,
             progress=tell,
         )
     write_result(json, made.to_dict())
