@@ -78,6 +78,25 @@ def test_the_transition_is_that_of_the_differential_equation(
     assert np.linalg.eigvalsh(got_spread).min() > 0.0
 
 
+@pytest.mark.parametrize("lag_s", [1e-5, 1.03e-3, 1.05e-3, 0.2])
+def test_the_noise_of_short_lags_is_that_of_long_ones(lag_s: float) -> None:
+    """By quadrature, where differences of nearly equal numbers give way to a series: at 1.04 ms."""
+    drift = np.zeros((4, 4))
+    drift[:2, 2:] = np.eye(2)
+    drift[2:, 2:] = [[-1.0 / 1.2, 0.9], [-0.9, -1.0 / 1.2]]
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    moved = [expm(drift * 0.5 * lag_s * (node + 1.0)) for node in nodes]
+    spread = sum(
+        0.5 * lag_s * weight * one[:, 2:] @ one[:, 2:].T
+        for weight, one in zip(weights, moved, strict=True)
+    )
+    got = transition(lag_s, [-0.9], 1.2)[1][0]
+    scale = np.sqrt(np.diag(spread))
+    np.testing.assert_allclose(
+        got / np.outer(scale, scale), spread / np.outer(scale, scale), atol=5e-6
+    )
+
+
 def test_the_covariance_of_a_straight_forecast_is_the_integrated_ornstein_uhlenbeck_one() -> None:
     motion = MotionModel(straight_share=1.0, straight_s=20.0, straight_m2ps3=0.3)
     state = state_of([10.0, 50.0, 3.0, -1.0], motion=motion)

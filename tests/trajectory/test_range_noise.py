@@ -222,6 +222,14 @@ def test_noise_grows_with_the_range_to_the_power_that_is_stated() -> None:
     np.testing.assert_allclose(alone, np.diag([0.2 * 0.3**2, 0.0]), rtol=1e-6, atol=1e-12)
 
 
+def test_where_all_ranges_are_alike_the_noise_grows_as_a_cameras_does() -> None:
+    turn = np.linspace(-1.0, 1.0, 9)
+    place = 100.0 * np.stack([np.sin(turn), np.cos(turn)], axis=1)
+    stated = np.diag([1.0, 4.0]) * np.linspace(1.0, 2.0, 9)[:, None, None]
+    noise = NoiseAtRange.of(measured_at(np.arange(9.0), place, stated))
+    np.testing.assert_allclose(noise.powers, [2.0, 1.0], atol=1e-3)
+
+
 def test_what_is_stated_alike_everywhere_has_no_power() -> None:
     rng = np.random.default_rng(5)
     place = rng.uniform(50.0, 90.0, (10, 2))

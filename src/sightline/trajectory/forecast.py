@@ -144,7 +144,9 @@ def transition(
     position = (lag_s - 2.0 * moved.real + energy) / np.abs(rate) ** 2
     # Over short lags these are differences of nearly equal numbers; there they are their series.
     short = (np.abs(rate) + 2.0 / tau) * lag_s < 3e-3
-    crossed = np.where(short, 0.5 * lag_s**2 * (1.0 - lag_s * (rate + 2.0 / tau) / 3.0), crossed)
+    crossed = np.where(
+        short, 0.5 * lag_s**2 * (1.0 - lag_s * (np.conj(rate) + 2.0 / tau) / 3.0), crossed
+    )
     position = np.where(short, lag_s**3 / 3.0 * (1.0 - 0.75 * lag_s / tau), position)
     zero, one = np.zeros(rate.shape), np.ones(rate.shape)
     step = _blocks(one, moved, zero, kept)
