@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 from pydantic import (
     AliasChoices,
@@ -80,7 +80,7 @@ class RecordingTable(Table):
 
     @field_validator("start_utc", mode="before")
     @classmethod
-    def _moment(cls, value: Any) -> Any:
+    def _moment(cls, value: object) -> object:
         if isinstance(value, str):
             return datetime.fromisoformat(value)
         return value

@@ -149,7 +149,7 @@ class ImagePlane:
         return near.distance / self._settings.gate + (1.0 - near.overlap) + 0.5 * near.unlike
 
     def nearness(self, state: Columns, measured: Columns) -> Nearness:
-        """Pairs of T targets and N boxes inside the gate of each other, or that may overlap."""
+        """Target-box pairs of T targets and N boxes that are inside the gate or may overlap."""
         spread = self._spread_px(state)
         centre, log_size = state["centre"], state["log_size"]
         box_centre, half_box = measured["centre"], measured["half_size"]
