@@ -38,7 +38,7 @@ _SAME_HEADING_DEG = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A logged vessel in a recording.
+    """A logged vessel that was recognised in a recording.
 
     Attributes:
         recording: Name of the recording.

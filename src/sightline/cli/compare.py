@@ -37,7 +37,7 @@ def compare(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """Leave one recording out at a time, and print the paper's Table 2."""
+    """Compare models by leave-one-out cross-validation, and print the paper's Table 2."""
     keep_apart([map_file, report, json], [scene])
     check_scene_is_there(scene)
     from sightline.evaluation.comparison import overview_table, paper_table

@@ -57,7 +57,7 @@ def fit(
     ] = None,
     json: JsonOption = None,
 ) -> None:
-    """Learn where a box in the image lies on the earth.
+    """Fit a georeferencer: learn where a box in the image lies on the earth.
 
     Without drawn boxes, the logged vessels are recognised among the recordings' detections, or
     among what the detector finds in their pictures.

@@ -43,7 +43,7 @@ def run(
     seed: SeedOption = 0,
     json: JsonOption = None,
 ) -> None:
-    """The main job: detect where there are no boxes, fit, track, smooth, evaluate."""
+    """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene])
     check_scene_is_there(scene)
     from sightline.pipeline.run import run as run_scene

@@ -283,7 +283,7 @@ def _rest(h: Hyperparameters, noise: FloatArray, same: FloatArray) -> FloatArray
 
 
 def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
-    """T, (N, R), for which ``|Tᵀ k|²`` is ``kᵀ (smooth + rest)⁻¹ k``, with R as small as may be.
+    """Low-rank whitening T, (N, R), for which ``|Tᵀ k|²`` is ``kᵀ (smooth + rest)⁻¹ k``.
 
     A smooth kernel has fewer directions than points. It is whitened by what is not smooth,
     ``W = L⁻¹ smooth L⁻ᵀ``, and taken apart into eigenvectors (of a pivoted Cholesky
@@ -308,7 +308,7 @@ def _whitening(smooth: FloatArray, rest: FloatArray) -> FloatArray:
 
 
 def _trapezoid(whitening: FloatArray) -> FloatArray:
-    """(N, R) lower trapezoidal, with the same product with its own transpose."""
+    """(N, R) lower trapezoidal factor with the same product with its own transpose."""
     return np.asarray(np.linalg.qr(whitening.T)[1].T)
 
 

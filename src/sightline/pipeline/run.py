@@ -85,7 +85,7 @@ def run(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RunResult:
-    """The main job: detect where there are no boxes, fit, track, smooth, evaluate.
+    """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate.
 
     Args:
         scene: The scene.

@@ -60,7 +60,7 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
 
 
 def from_memory(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
-    """Boxes in any order, as `read_table`.
+    """Boxes in memory, in any order, as `read_table`.
 
     Boxes without ids of which no two are of one time are all of one target.
     """

@@ -220,7 +220,7 @@ def _area(log_size: FloatArray) -> FloatArray:
 
 
 class ImageTracker(TargetTracker):
-    """Follows many targets in the image; see `Tracker`.
+    """Multi-target tracker in the image; see `Tracker`.
 
     Ids start at 1, and belong to the instance.
     """

@@ -1,4 +1,4 @@
-"""The paper's five models as it uses them: from box centres to distances from the camera."""
+"""The paper's five models, from box centres to distances from the camera."""
 
 from __future__ import annotations
 
