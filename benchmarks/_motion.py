@@ -19,7 +19,7 @@ from sightline.types import BoolArray, Fixes, FloatArray
 
 SIGMA_M = 1.0
 STEP_S, STEPS = 2.0, 10
-APART_S = 5.0
+CORRELATION_TIME_S = 5.0
 BELIEF = 1.5
 LEAST_LOG_DENSITY = -20.0
 """Of one forecast: jumps of a receiver are no motion."""
@@ -44,7 +44,7 @@ class Windows:
         self._time_s = log.time_utc_s
         self._en_m = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
         self._without = without
-        now = np.arange(self._time_s[0], self._time_s[-1], APART_S)[:, None]
+        now = np.arange(self._time_s[0], self._time_s[-1], CORRELATION_TIME_S)[:, None]
         before, told = self._at(now + STEP_S * np.arange(1 - STEPS, 1))
         after, known = self._at(now + np.array(HORIZONS_S))
         kept = told.all(axis=1) & known.any(axis=1)
@@ -74,7 +74,7 @@ def log_density(motion: MotionModel, windows: Windows) -> float:
 
 
 def _followed(motion: MotionModel, windows: Windows) -> MotionState:
-    """The states at the ends of all windows (a Kalman filter a manner, mixed in between)."""
+    """The states at the ends of all windows (a Kalman filter a mode, mixed in between)."""
     places = windows.before_m
     start = np.concatenate([places[:, 0], np.zeros((len(places), 2))], axis=1)
     doubt = np.diag([SIGMA_M**2, SIGMA_M**2, 25.0, 25.0])

@@ -22,14 +22,14 @@ from _support.traffic import Traffic
 
 from sightline.association import Association, associate
 from sightline.association.observations import observe
-from sightline.association.search import Watch
+from sightline.association.search import RecordingObservations
 from sightline.errors import FitError
 from sightline.pipeline.evaluate import place_boxes, score
 from sightline.pipeline.fit_unlabelled import associate_scene, fit_association
 from sightline.scene import Scene
 
 
-def try_to(watch: Watch, traffic: Traffic) -> Association | None:
+def try_to(watch: RecordingObservations, traffic: Traffic) -> Association | None:
     """The association, or None where it is refused."""
     try:
         return associate([watch], traffic.camera.image_size_px)
@@ -44,14 +44,18 @@ def feeds(seeds: int) -> None:
         began = time.perf_counter()
         traffic = Traffic.random(seed)
         seen, paths = observe(traffic.boxes()), traffic.paths()
-        found = try_to(Watch("one", seen, tuple(paths.values())), traffic)
+        found = try_to(RecordingObservations("one", seen, tuple(paths.values())), traffic)
         names = {int(one.vessel) for one in found.found} if found else set()
         in_view = set(traffic.in_view)
         all_found += in_view <= names
         none_invented += names <= in_view
         elsewhere = [mmsi for mmsi in paths if mmsi not in in_view]
-        one = try_to(Watch("one", seen, (paths[elsewhere[seed % len(elsewhere)]],)), traffic)
-        rest = try_to(Watch("one", seen, tuple(paths[mmsi] for mmsi in elsewhere)), traffic)
+        one = try_to(
+            RecordingObservations("one", seen, (paths[elsewhere[seed % len(elsewhere)]],)), traffic
+        )
+        rest = try_to(
+            RecordingObservations("one", seen, tuple(paths[mmsi] for mmsi in elsewhere)), traffic
+        )
         never += one is None
         without += rest is None
         offset = found.offset_s["one"] if found else np.nan

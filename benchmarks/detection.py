@@ -37,7 +37,7 @@ from sightline.detection import (
     Detector,
     DetectorOptions,
     OnnxDetector,
-    ViewSettings,
+    TilingSettings,
     detect,
     detector_by_name,
 )
@@ -147,7 +147,7 @@ def recalls() -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
     for kind in reversed(VIEWS):
         options = DetectorOptions(
-            classes=("boat",), threshold=LEAST_CONFIDENCE, views=ViewSettings(kind=kind)
+            classes=("boat",), threshold=LEAST_CONFIDENCE, views=TilingSettings(kind=kind)
         )
         detector = OnnxDetector(WEIGHTS, options=options)
         began = time.perf_counter()

@@ -22,7 +22,13 @@ from _recordings import challenge_scene
 
 from sightline.evaluation.forecast import ForecastError, forecast_errors
 from sightline.georeferencing.models import DEFAULT_MODEL
-from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes, score, with_forecasts
+from sightline.pipeline.evaluate import (
+    LocatedRecording,
+    leave_one_out,
+    place_boxes,
+    score,
+    with_forecasts,
+)
 from sightline.scene import Scene
 from sightline.synchronisation import synchronise
 from sightline.trajectory.forecast import MotionModel, MotionState, follow
@@ -48,7 +54,7 @@ def head() -> None:
     print(" " * 13 + "".join(f"{c:>{w}s}" for c, w in zip(COLUMNS, widths, strict=True)))
 
 
-def from_log(one: Placed) -> MotionState | None:
+def from_log(one: LocatedRecording) -> MotionState | None:
     """The states of the target at its boxes, by the log instead of the boxes."""
     times, plane = np.unique(one.boxes.time_utc_s), one.model.plane
     log = synchronise(one.fixes, times, plane)
@@ -61,7 +67,7 @@ def from_log(one: Placed) -> MotionState | None:
     return follow(times[rows], places)
 
 
-def learned(one: Placed) -> MotionModel:
+def learned(one: LocatedRecording) -> MotionModel:
     """The settings that the rest of the log makes likeliest."""
     times = one.boxes.time_utc_s
     return likeliest(

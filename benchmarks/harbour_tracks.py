@@ -58,11 +58,11 @@ def path(rng: np.random.Generator, duration_s: float) -> tuple[FloatArray, Float
     return step * np.arange(n), out[:, :2], out[:, 2:]
 
 
-def lasting(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> FloatArray:
-    """(N,) draws of unit variance whose correlation falls off with `tau_s`; 0: independent."""
+def lasting(rng: np.random.Generator, time_s: FloatArray, correlation_time_s: float) -> FloatArray:
+    """(N,) draws of unit variance, correlated over `correlation_time_s`; 0: independent."""
     draws = rng.standard_normal(time_s.size)
-    if tau_s > 0.0:
-        kept = np.exp(-np.diff(time_s) / tau_s)
+    if correlation_time_s > 0.0:
+        kept = np.exp(-np.diff(time_s) / correlation_time_s)
         for i, a in enumerate(kept):
             draws[i + 1] = a * draws[i] + np.sqrt(1.0 - a * a) * draws[i + 1]
     return draws
@@ -71,7 +71,7 @@ def lasting(rng: np.random.Generator, time_s: FloatArray, tau_s: float) -> Float
 def scene(
     seed: int,
     *,
-    tau_s: float = 0.0,
+    correlation_time_s: float = 0.0,
     outliers: float = 0.0,
     dropouts: bool = False,
     sparse: bool = False,
@@ -80,7 +80,7 @@ def scene(
 
     Args:
         seed: Of everything.
-        tau_s: How long errors of boxes last; 0: white.
+        correlation_time_s: How long errors of boxes last; 0: white.
         outliers: Share of boxes that are grossly wrong.
         dropouts: Gaps of one to eight seconds, single missing boxes and a rate that changes.
         sparse: One box each four seconds, 20 to 40 of them.
@@ -101,8 +101,8 @@ def scene(
     truth = np.stack([np.interp(time, fine, column) for column in at.T], axis=1)
     moving = np.stack([np.interp(time, fine, column) for column in velocity.T], axis=1)
 
-    foot_px = HEIGHT_M * FOCAL_PX / np.hypot(*truth.T) + lasting(rng, time, tau_s)
-    bearing = np.arctan2(*truth.T) + 1.5 / FOCAL_PX * lasting(rng, time, tau_s)
+    foot_px = HEIGHT_M * FOCAL_PX / np.hypot(*truth.T) + lasting(rng, time, correlation_time_s)
+    bearing = np.arctan2(*truth.T) + 1.5 / FOCAL_PX * lasting(rng, time, correlation_time_s)
     wrong = rng.random(time.size) < outliers
     foot_px = np.where(wrong, foot_px * rng.uniform(0.3, 2.5, time.size) + 5.0, foot_px)
     bearing = np.where(wrong, bearing + rng.normal(0.0, 0.1, time.size), bearing)

@@ -32,11 +32,11 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Scene
-from sightline.scene.correspondences import scene_pairs
+from sightline.scene.correspondences import scene_correspondences
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import BoxNoise, Harbour
 from sightline.simulation.simulate import simulate
@@ -85,13 +85,13 @@ def foot(boxes: FloatArray) -> FloatArray:
     return np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
 
 
-def world() -> tuple[Scene, Pairs, Harbour, float]:
+def world() -> tuple[Scene, Correspondences, Harbour, float]:
     """The scene, boxes of its first recordings with their places by the log, and the harbour."""
     with tempfile.TemporaryDirectory() as folder:
         made = simulate(folder, recordings=RECORDINGS, duration_s=90.0, camera=CAMERA, video=False)
         scene = Scene.load(made.scene)
         assert scene.plane is not None
-        pairs = scene_pairs(scene, scene.plane)
+        pairs = scene_correspondences(scene, scene.plane)
     pairs = pairs[np.isin(pairs.recording, [one.name for one in made.recordings[:LEARNED_FROM]])]
     assert len(pairs) >= BOXES
     chosen = np.linspace(0, len(pairs) - 1, BOXES).astype(int)
@@ -110,7 +110,9 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     return time.process_time() - start, result
 
 
-def with_sightline(pairs: Pairs, scene: Scene, model: str) -> tuple[Learned, Georeferencer]:
+def with_sightline(
+    pairs: Correspondences, scene: Scene, model: str
+) -> tuple[Learned, Georeferencer]:
     took, georeferencer = timed(
         lambda: fit(
             FitInputs(pairs, CAMERA.image_size_px, scene.control_points), FitSettings(model)
@@ -126,7 +128,7 @@ def with_sightline(pairs: Pairs, scene: Scene, model: str) -> tuple[Learned, Geo
     return Learned(f"sightline {model}", place, took, camera_found), georeferencer
 
 
-def with_scikit_learn(pairs: Pairs) -> tuple[Learned, Place]:
+def with_scikit_learn(pairs: Correspondences) -> tuple[Learned, Place]:
     kernel = ConstantKernel() * RBF([1.0] * 4, (1e-2, 1e3)) + WhiteKernel(1e-2)
     process = GaussianProcessRegressor(kernel, normalize_y=True)
     model = make_pipeline(StandardScaler(), process)
@@ -138,7 +140,7 @@ def with_scikit_learn(pairs: Pairs) -> tuple[Learned, Place]:
     return Learned("scikit-learn GaussianProcessRegressor", model.predict, took), with_sigma
 
 
-def with_cameratransform(pairs: Pairs) -> tuple[Learned, float]:
+def with_cameratransform(pairs: Correspondences) -> tuple[Learned, float]:
     """Its optimiser's fit, and the seconds that one iteration of its sampler takes."""
     width_height = CAMERA.image_size_px
     camera = ct.Camera(

@@ -38,7 +38,7 @@ from sightline.formats import read_boxes
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL
 from sightline.pipeline.camera_state import recording_history
-from sightline.pipeline.evaluate import Placed, leave_one_out, place_boxes
+from sightline.pipeline.evaluate import LocatedRecording, leave_one_out, place_boxes
 from sightline.pipeline.fit import fit
 from sightline.pipeline.sources import moments
 from sightline.pipeline.track import positions_on_earth
@@ -127,7 +127,7 @@ def tracked(model: Georeferencer, recording: Recording, folder: Path, found: Fou
         found.trackers.setdefault(name, []).append(row)
 
 
-def from_truth(one: Placed, simulation: Simulation, motion: MotionModel) -> MotionState:
+def from_truth(one: LocatedRecording, simulation: Simulation, motion: MotionModel) -> MotionState:
     """The states of the target at its boxes, by where it truly was."""
     times = np.unique(one.boxes.time_utc_s)
     truth = simulation.harbour.truth(times)
@@ -141,7 +141,9 @@ def from_truth(one: Placed, simulation: Simulation, motion: MotionModel) -> Moti
     )
     own = simulation.harbour.platform
     assert own is not None, "the camera moves"
-    return follow(times, places, motion, eye_m=own.at(times - simulation.harbour.start_utc_s))
+    return follow(
+        times, places, motion, camera_position_m=own.at(times - simulation.harbour.start_utc_s)
+    )
 
 
 def harbour(simulation: Simulation, seed: int, name: str, found: Found) -> None:

@@ -34,7 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tracks", type=int, default=40)
     count = parser.parse_args().tracks
-    dense = [scene(seed, tau_s=1.0) for seed in range(count)]
+    dense = [scene(seed, correlation_time_s=1.0) for seed in range(count)]
     sparse = [scene(seed, sparse=True) for seed in range(count)]
     learned = RtsSmoother().smooth(dense[0].time_utc_s, dense[0].positions).noise
     print(f"{'':44s}{'points/s':>12s}{'tracks/s':>10s}{'ms a track':>12s}{'paper: 1':>10s}")

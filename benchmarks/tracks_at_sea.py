@@ -20,7 +20,7 @@ from sightline.georeferencing.models import MODELS
 from sightline.pipeline.evaluate import compare, place_boxes, score
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.scene.correspondences import scene_pairs
+from sightline.scene.correspondences import scene_correspondences
 
 NEAR_M = 130.0
 
@@ -37,7 +37,7 @@ def line(model: str, report: Report) -> str:
 def far_recordings(scene: Scene) -> list[str]:
     """The recordings in which the boat is mostly further away than `NEAR_M`."""
     assert scene.plane is not None, "the challenge tells where its camera stands"
-    pairs = scene_pairs(scene, scene.plane)
+    pairs = scene_correspondences(scene, scene.plane)
     distance = np.hypot(*pairs.east_north_m.T)
     return [
         str(name)

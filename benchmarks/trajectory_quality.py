@@ -19,11 +19,11 @@ from sightline.trajectory import PaperChain, RtsSmoother, TrajectoryMethod
 
 CASES: dict[str, dict[str, Any]] = {
     "white noise": {},
-    "noise that lasts 0.5 s": {"tau_s": 0.5},
-    "noise that lasts 1 s": {"tau_s": 1.0},
+    "noise that lasts 0.5 s": {"correlation_time_s": 0.5},
+    "noise that lasts 1 s": {"correlation_time_s": 1.0},
     "white, 4 % gross outliers": {"outliers": 0.04},
     "1 s, gaps, changing rate, 3 % outliers": {
-        "tau_s": 1.0,
+        "correlation_time_s": 1.0,
         "dropouts": True,
         "outliers": 0.03,
     },

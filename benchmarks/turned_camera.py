@@ -80,7 +80,7 @@ def main() -> None:
             found = recording_history(turned["02"], model).rotation
             if found is not None:
                 off_deg.append(np.abs(found.angles_deg[-1] - turn).max())
-            unwatched = replace(turned, camera=replace(turned.camera, watched=False))
+            unwatched = replace(turned, camera=replace(turned.camera, compensate_rotation=False))
             trio = (own, errors(turned, model), errors(unwatched, model))
         for name, values in zip(parts, trio, strict=True):
             parts[name].append(values)

@@ -201,7 +201,6 @@ def test_all_models_and_trajectories_are_documented() -> None:
     assert set(METHODS) <= set(in_code(DOCS / "how-it-works.md").split())
 
 
-@pytest.mark.xfail(reason="some classes still have the names of 0.1", strict=True)
 def test_names_in_the_glossary_are_those_of_the_code() -> None:
     code = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py"))
     words = set(re.findall(r"[A-Za-z_]\w+", in_code(DOCS / "glossary.md")))

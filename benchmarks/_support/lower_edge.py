@@ -95,7 +95,7 @@ def overhang(
 
 
 def lower_edge(seen: Overhang) -> LowerEdge:
-    """The habit that the boxes show: a line over the height of the boats, by Huber's estimator.
+    """The bias that the boxes show: a line over the height of the boats, by Huber's estimator.
 
     Args:
         seen: Of a detector.

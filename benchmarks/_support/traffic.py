@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from sightline.geodesy import LocalPlane
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.simulation.camera import SimulatedCamera
 from sightline.types import NO_TRACK, BoolArray, Boxes, Fixes, FloatArray, IntArray
 
@@ -191,12 +191,12 @@ class Traffic:
             )
         return out
 
-    def paths(self) -> dict[int, LoggedPath]:
+    def paths(self) -> dict[int, ReferenceTrajectory]:
         """The reports as paths in the plane, by MMSI."""
         out = {}
         for mmsi, log in self.reports().items():
             fixes = Fixes(log.time_utc_s, log.latitude_deg, log.longitude_deg, name=str(mmsi))
-            out[mmsi] = LoggedPath.of(fixes, self.plane, log.velocity_mps)
+            out[mmsi] = ReferenceTrajectory.of(fixes, self.plane, log.velocity_mps)
         return out
 
     def _report_times(self, one: TrafficVessel, rng: np.random.Generator) -> FloatArray:

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from sightline.atomic import atomic_path
-from sightline.detection import DetectorOptions, OnnxDetector, ViewSettings, detector_by_name
+from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings, detector_by_name
 from sightline.evaluation.detection import pooled, score_detections
 from sightline.formats.labels import Margin
 from sightline.scene import Scene
@@ -85,7 +85,7 @@ def detector_of(file: str, classes: str = "", views: str = "") -> Timed:
         provider="cpu",
         threshold=0.001,
         classes=tuple(classes.split(",")) if classes else None,
-        views=ViewSettings(kind=views) if views else None,
+        views=TilingSettings(kind=views) if views else None,
         threads=1,
     )
     detector = detector_by_name(file, options=options)
@@ -109,13 +109,13 @@ def measure(timed: Timed) -> dict[str, Any]:
     drawn = scene_labels(scene, DRAWN)
     detect_labelled(scene, drawn, timed)
     row: dict[str, Any] = {"frame_cpu_ms": frame_cpu_ms(timed)}
-    for habit, (margins, least_height_px) in HABITS.items():
+    for bias, (margins, least_height_px) in HABITS.items():
         known = {
             name: one.without_specks(least_height_px).widened(margins)
             for name, one in drawn.items()
         }
         report = score_detections(pooled(detect_labelled(scene, known, Replayed(timed.found))))
-        row[habit] = chosen(report.to_dict())
+        row[bias] = chosen(report.to_dict())
     return row
 
 
@@ -180,7 +180,7 @@ def main() -> None:
             str(row.get("batches", "")),
             f"{row['frame_cpu_ms']:.0f} ms",
             *(
-                " / ".join(f"{row[habit][key]:.2f}" for habit in HABITS if habit in row)
+                " / ".join(f"{row[bias][key]:.2f}" for bias in HABITS if bias in row)
                 for key in ("map_50", "map_50_95", "recall_30")
             ),
         ]

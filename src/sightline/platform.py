@@ -46,7 +46,7 @@ POSITION_SIGMA_M = 1.5
 HEADING_SIGMA_DEG = 1.0
 """How far off a logged heading is taken to be; a constant part is the camera's and is learned."""
 
-_RECEIVER_LASTS_S = 20.0
+_RECEIVER_CORRELATION_TIME_S = 20.0
 _FIX_SIGMA_M = 0.3
 _SPEED_SIGMA_MPS = 30.0
 # The spectral density of the platform's acceleration, m²/s³, is the likeliest of these.
@@ -302,7 +302,7 @@ def _busiest(en_m: FloatArray) -> slice:
 
 def _moves(lag_s: float, acceleration_m2ps3: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(3, 3) how place, velocity and error move on, and (K, 3, 3) the noise that they pick up."""
-    kept = np.exp(-lag_s / _RECEIVER_LASTS_S)
+    kept = np.exp(-lag_s / _RECEIVER_CORRELATION_TIME_S)
     step = np.diag([1.0, 1.0, kept])
     step[0, 1] = lag_s
     noise = np.zeros((acceleration_m2ps3.size, 3, 3))

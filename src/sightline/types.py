@@ -148,7 +148,7 @@ class Boxes(Columns):
         time_utc_s: (N,) float64, NaN where not known.
         confidence: (N,) float64 in [0, 1].
         source: (N,) str, who made the box: an annotator's or a detector's name, or ``""``. Every
-            source has its own habit at the lower edge, so models learn a bias for each.
+            source has its own bias at the lower edge, so models learn a bias for each.
         track_id: (N,) int64, `NO_TRACK` where there is none.
         label: (N,) str, the class, or ``""``.
 
@@ -482,7 +482,7 @@ class EastNorthPositions(Columns):
         plane: The plane of the earth that they are in, or will be moved to.
         shared_covariance_m2: (N, 2, 2) float64, the part of ``covariance_m2`` that a target has
             in common with itself a moment later, and that time does not average out: of the
-            camera's parameters, the clock, the habits of a source. Absent: zero.
+            camera's parameters, the clock, the biases of a source. Absent: zero.
     """
 
     east_m: FloatArray

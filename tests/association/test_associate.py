@@ -9,7 +9,7 @@ from _support.traffic import Traffic
 
 from sightline.association import associate
 from sightline.association.observations import observe
-from sightline.association.search import Watch
+from sightline.association.search import RecordingObservations
 from sightline.detection import LowerEdge
 from sightline.errors import FitError, InputError
 from sightline.formats import read_ais_feed, write_boxes
@@ -24,7 +24,7 @@ from sightline.types import Boxes, to_datetime64
 def test_the_vessels_in_view_are_found_in_a_feed_and_no_others(seed):
     traffic = Traffic.random(seed, vessels=25)
     boxes, owner = traffic.boxes(), traffic.owner()
-    watch = Watch("one", observe(boxes), tuple(traffic.paths().values()))
+    watch = RecordingObservations("one", observe(boxes), tuple(traffic.paths().values()))
     found = associate([watch], traffic.camera.image_size_px)
     assert {int(one.vessel) for one in found.found} == set(traffic.in_view)
     assert found.offset_s["one"] == pytest.approx(-37.0, abs=1.0)
@@ -43,13 +43,18 @@ def test_the_log_of_a_vessel_that_was_never_in_view_is_refused(seed):
     elsewhere = [path for mmsi, path in traffic.paths().items() if mmsi not in traffic.in_view]
     seen = observe(traffic.boxes())
     with pytest.raises(FitError, match="no logged vessel can be told"):
-        associate([Watch("one", seen, (elsewhere[seed],))], traffic.camera.image_size_px)
+        associate(
+            [RecordingObservations("one", seen, (elsewhere[seed],))], traffic.camera.image_size_px
+        )
 
 
 def test_nobody_is_recognised_without_boxes_or_without_a_log():
     traffic = Traffic.random(0, vessels=6)
     seen, path = observe(traffic.boxes()), next(iter(traffic.paths().values()))
-    for watch in (Watch("a", observe(Boxes.of([])), (path,)), Watch("a", seen, ())):
+    for watch in (
+        RecordingObservations("a", observe(Boxes.of([])), (path,)),
+        RecordingObservations("a", seen, ()),
+    ):
         with pytest.raises(FitError, match="no recording has both"):
             associate([watch], (1280, 720))
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from sightline.association import Association, associate
-from sightline.association.observations import Observations, observe
-from sightline.association.search import Watch
+from sightline.association.observations import TrackObservations, observe
+from sightline.association.search import RecordingObservations
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import Boxes, FloatArray
 
 SIZE = (1280, 720)
@@ -45,7 +45,9 @@ def round_and_round(since_s: FloatArray) -> FloatArray:
 Goes = Callable[[FloatArray], FloatArray]
 
 
-def seen(first_s: float = 0.0, last_s: float = DURATION_S, *, goes: Goes = place) -> Observations:
+def seen(
+    first_s: float = 0.0, last_s: float = DURATION_S, *, goes: Goes = place
+) -> TrackObservations:
     """Its boxes, two a second."""
     since_s = np.arange(first_s, last_s, 0.5)
     where = goes(since_s)
@@ -70,17 +72,17 @@ def log(
     late_s: float = 0.0,
     *,
     goes: Goes = place,
-) -> LoggedPath:
+) -> ReferenceTrajectory:
     """Its log, turned clockwise about the camera, moved north, or of another time."""
     since_s = np.arange(-80.0, DURATION_S + 80.0)
     sine, cosine = np.sin(np.radians(turned_deg)), np.cos(np.radians(turned_deg))
     path = goes(since_s - late_s) @ np.array([[cosine, -sine], [sine, cosine]])
     path[:, 1] += north_m
-    return LoggedPath(name, START_UTC_S + since_s, path, np.full_like(path, np.nan))
+    return ReferenceTrajectory(name, START_UTC_S + since_s, path, np.full_like(path, np.nan))
 
 
-def recognise(*logs: LoggedPath) -> Association:
-    return associate([Watch("one", seen(), logs)], SIZE)
+def recognise(*logs: ReferenceTrajectory) -> Association:
+    return associate([RecordingObservations("one", seen(), logs)], SIZE)
 
 
 @pytest.mark.parametrize(("name", "turned_deg"), [("one", 0.0), ("other", 60.0)])
@@ -105,7 +107,11 @@ def test_two_logs_that_explain_it_alike_are_refused(order: int) -> None:
 
 def test_a_path_that_repeats_itself_does_not_tell_the_clock() -> None:
     """A clock that is off by a round explains it as well."""
-    watches = [Watch("one", seen(goes=round_and_round), (log("one", goes=round_and_round),))]
+    watches = [
+        RecordingObservations(
+            "one", seen(goes=round_and_round), (log("one", goes=round_and_round),)
+        )
+    ]
     with pytest.raises(FitError, match=r"about as good as each other: clocks .*40 s"):
         associate(watches, SIZE)
     # Where clocks are known to be nearer than a round there is only one.
@@ -116,7 +122,7 @@ def test_a_path_that_repeats_itself_does_not_tell_the_clock() -> None:
 def test_of_two_logs_the_one_that_goes_as_what_is_seen_is_told() -> None:
     """The other goes the same way, but not at the same time."""
     found = associate(
-        [Watch("one", seen(), (log("one"), log("other", 60.0, late_s=150.0)))],
+        [RecordingObservations("one", seen(), (log("one"), log("other", 60.0, late_s=150.0)))],
         SIZE,
         largest_offset_s=30.0,
     )
@@ -136,7 +142,7 @@ def test_a_clock_that_may_be_anywhere_is_paid(recordings: int) -> None:
     """Twice the time in which it may lie is log 2, once, since one camera has one clock."""
     cuts = np.linspace(0.0, DURATION_S, recordings + 1)
     watches = [
-        Watch(f"{i}", seen(first_s, last_s), (log("one"),))
+        RecordingObservations(f"{i}", seen(first_s, last_s), (log("one"),))
         for i, (first_s, last_s) in enumerate(pairwise(cuts.tolist()))
     ]
     narrow, wide = (associate(watches, SIZE, largest_offset_s=s) for s in (20.0, 40.0))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.association.observations import SPLIT_S, Observations, observe
+from sightline.association.observations import SPLIT_S, TrackObservations, observe
 from sightline.types import Boxes, FloatArray
 
 
-def observed(times: FloatArray, left_px: FloatArray) -> Observations:
+def observed(times: FloatArray, left_px: FloatArray) -> TrackObservations:
     """One track id, of boxes of one size."""
     top = np.full(times.size, 300.0)
     return observe(

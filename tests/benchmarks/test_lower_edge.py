@@ -1,4 +1,4 @@
-"""How low a detector's boxes end: a planted habit, and that of the detector that ships."""
+"""How low a detector's boxes end: a planted bias, and that of the detector that ships."""
 
 import numpy as np
 import pytest

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
-from sightline.camera.observations import Sightings
+from sightline.camera.observations import PointCorrespondences
 from sightline.camera.parameters import CAMERA, HEADING, LOG_FOCAL, PARAMETERS, PITCH, TARGET
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, PixelNoise, SourceBelief
+from sightline.camera.priors import CameraPrior, PixelNoise, SourcePrior
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.observations import CameraObservations
@@ -27,7 +27,7 @@ class World:
     """A planted camera and what it sees of targets whose place is known."""
 
     camera: Camera
-    sightings: Sightings
+    sightings: PointCorrespondences
     hull_m: FloatArray
     bias: FloatArray
     clock_s: FloatArray
@@ -120,7 +120,7 @@ def plant(
     log += rng.normal(0.0, noise.place_m, (n, 2))
     return World(
         camera,
-        Sightings(
+        PointCorrespondences(
             pixel_px=pixel,
             east_m=log[:, 0],
             north_m=log[:, 1],
@@ -269,8 +269,8 @@ def test_what_a_log_is_off_by_is_not_counted_twice() -> None:
     for seed in SEEDS:
         world = plant(seed)
         noise = fit_world(world, starts=2).noise
-        total.append(np.hypot(noise.place_m, noise.drift_m))
-        lasting.append(noise.drift_m)
+        total.append(np.hypot(noise.place_m, noise.correlated_m))
+        lasting.append(noise.correlated_m)
     assert np.median(total) == pytest.approx(NOISE.place_m, rel=0.3)
     np.testing.assert_array_equal(lasting, 0.0)
 
@@ -305,7 +305,7 @@ def test_sources_that_end_at_other_heights_are_told_apart() -> None:
 def test_a_habit_that_is_known_is_not_taken_for_the_pitch() -> None:
     """Boxes that all end 6 px too low look like a camera that is turned up."""
     planted = np.array([[6.0, -0.2]])
-    belief = SourceBelief(bias_px=(6.0, 0.5), bias_m=(-0.2, 0.1))
+    belief = SourcePrior(bias_px=(6.0, 0.5), bias_m=(-0.2, 0.1))
     believed, untold = [], []
     for seed in SEEDS:
         world = plant(seed, bias=planted)
@@ -340,7 +340,7 @@ def test_outliers_are_flagged_and_do_not_pull_the_camera() -> None:
 def test_too_few_sightings_are_refused() -> None:
     for n in (0, 2):
         few = plant(0).sightings
-        few = Sightings(*(getattr(few, name)[:n] for name in few.__dataclass_fields__))
+        few = PointCorrespondences(*(getattr(few, name)[:n] for name in few.__dataclass_fields__))
         with pytest.raises(FitError, match=f"{n} pairs of a box and a fix"):
             fit_camera(few, SIZE, n_sources=1)
 
@@ -463,10 +463,10 @@ def test_boxes_of_a_source_that_nobody_knows_lie_in_their_ellipses() -> None:
 
 
 def test_a_source_that_nobody_knows_ends_where_the_prior_says_that_such_do() -> None:
-    """The camera learned from a detector whose habit was measured; somebody draws with a margin."""
+    """The camera learned from a detector whose bias was measured; somebody draws with a margin."""
     margin = np.array([2.0, -0.3])
     prior = CameraPrior(unseen_px=margin[0], unseen_m=margin[1])
-    belief = SourceBelief(bias_px=(3.0, 0.1), bias_m=(-0.2, 0.05))
+    belief = SourcePrior(bias_px=(3.0, 0.1), bias_m=(-0.2, 0.05))
     off = {}
     for told in (prior, CameraPrior()):
         world = plant(1, bias=np.array([[3.0, -0.2]]), hull_m=np.zeros(2))
@@ -501,7 +501,7 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
     apart = replace(twice, time_s=twice.time_s + 5.0 * (np.arange(len(twice)) >= len(once)))
     # No source has a bias here, so that nothing is to be learned of a second one.
     known = CameraPrior(bias_px_sigma=1e-6, bias_m_sigma=1e-6)
-    noise = replace(NOISE, drift_m=0.0)
+    noise = replace(NOISE, correlated_m=0.0)
     sigmas = [
         np.sqrt(
             np.diag(
@@ -572,7 +572,7 @@ def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
                     SIZE,
                     n_sources=1,
                     prior=JUST_THE_CAMERA,
-                    noise=replace(NOISE, drift_m=0.0),
+                    noise=replace(NOISE, correlated_m=0.0),
                     settings=QUICK,
                 ).covariance
             )[: len(PARAMETERS)]
@@ -588,8 +588,8 @@ def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
 def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well(
     off_px: float,
 ) -> None:
-    """Of people who end their boxes at the water one learns nothing of a detector's habit."""
-    careful = SourceBelief(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
+    """Of people who end their boxes at the water one learns nothing of a detector's bias."""
+    careful = SourcePrior(bias_px=(0.0, 0.3), bias_m=(0.0, 0.03))
     accurate = PixelNoise(row_px=1.0, row_m=0.05, column_px=2.0, place_m=0.1)
     held = []
     for seed in range(4):
@@ -622,7 +622,7 @@ def test_a_source_that_nobody_knows_may_be_further_off_than_those_that_draw_well
 
 
 def test_the_residual_is_of_places_by_clocks_that_were_put_right() -> None:
-    """Most targets go east, and all clocks are late: that must not become a habit of the place."""
+    """Most targets go east, and all clocks are late: that must not become a bias of the place."""
     for seed in range(4):
         bow = np.radians(90.0) + np.random.default_rng([seed, 103]).normal(0.0, 1.05, 150)
         world = plant(

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sightline.camera.motion import CameraMotionWatch
+from sightline.camera.motion import CameraMotionDetector
 from sightline.errors import InputError
 from sightline.types import Frame
 
@@ -35,7 +35,7 @@ def frames(seed, turn_at_s=None, turn_deg=(0.0, 0.0, 0.0), duration_s=32.0, rate
 
 
 def turns(seed, **world):
-    watch = CameraMotionWatch((180.0, 180.0), FOCAL_PX)
+    watch = CameraMotionDetector((180.0, 180.0), FOCAL_PX)
     return [turn for frame in frames(seed, **world) if (turn := watch.update(frame)) is not None]
 
 
@@ -56,8 +56,8 @@ def test_no_alarm_in_undisturbed_recordings():
 
 
 def test_pictures_too_small_and_settings_that_are_none_are_refused():
-    watch = CameraMotionWatch((10.0, 10.0), 100.0)
+    watch = CameraMotionDetector((10.0, 10.0), 100.0)
     with pytest.raises(InputError, match="too small"):
         watch.update(Frame(0, 0.0, np.zeros((30, 640, 3), np.uint8)))
     with pytest.raises(InputError, match="must be positive"):
-        CameraMotionWatch((10.0, 10.0), 0.0)
+        CameraMotionDetector((10.0, 10.0), 0.0)

@@ -9,7 +9,7 @@ from scipy.optimize import approx_fprime
 from scipy.stats import chi2, multivariate_normal
 
 from sightline.camera.correlated_noise import (
-    HEAVE_S,
+    HEAVE_CORRELATION_TIME_S,
     LONGEST_BLOCK_S,
     MOST_IN_BLOCK,
     LogError,
@@ -26,7 +26,8 @@ DRIFT_M, DRIFT_S = 1.5, 20.0
 
 
 class World:
-    """Sightings of two recordings and two without a time, and the covariance of their pixels."""
+    """PointCorrespondences of two recordings and two without a time, and the covariance of their
+    pixels."""
 
     def __init__(self, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
@@ -36,28 +37,42 @@ class World:
         self.by_place = rng.normal(0.0, 5.0, (11, 2, 2))
         self.pixel_px = rng.normal(0.0, 10.0, (11, 2))
 
-    def kernel(self, drift_m: float = DRIFT_M, drift_s: float = DRIFT_S) -> FloatArray:
-        """(11, 11) of the lasting error, one pair of sightings after the other."""
+    def kernel(
+        self, correlated_m: float = DRIFT_M, correlation_time_s: float = DRIFT_S
+    ) -> FloatArray:
+        """(11, 11) of the correlated error, one pair of sightings after the other."""
         out = np.zeros((11, 11))
         for i in range(11):
             for j in range(11):
                 if self.group[i] == self.group[j] and i < 9 and j < 9:
                     apart = np.sqrt((self.time_s[i] - self.time_s[j]) ** 2 + 1.0) - 1.0
-                    out[i, j] = drift_m**2 * np.exp(-apart / drift_s)
+                    out[i, j] = correlated_m**2 * np.exp(-apart / correlation_time_s)
         return out
 
     def covariance(
-        self, variance_px2: FloatArray, drift_m: float = DRIFT_M, drift_s: float = DRIFT_S
+        self,
+        variance_px2: FloatArray,
+        correlated_m: float = DRIFT_M,
+        correlation_time_s: float = DRIFT_S,
     ) -> FloatArray:
         """(22, 22) of columns and rows, box by box."""
         shared = np.einsum(
-            "iab,ij,jcb->iajc", self.by_place, self.kernel(drift_m, drift_s), self.by_place
+            "iab,ij,jcb->iajc",
+            self.by_place,
+            self.kernel(correlated_m, correlation_time_s),
+            self.by_place,
         )
         return shared.reshape(22, 22) + np.diag(variance_px2.ravel())
 
-    def whitening(self, drift_m: float = DRIFT_M, drift_s: float = DRIFT_S) -> Whitening:
+    def whitening(
+        self, correlated_m: float = DRIFT_M, correlation_time_s: float = DRIFT_S
+    ) -> Whitening:
         return Whitening(
-            blocks_of(self.time_s, self.group), self.variance_px2, self.by_place, drift_m, drift_s
+            blocks_of(self.time_s, self.group),
+            self.variance_px2,
+            self.by_place,
+            correlated_m,
+            correlation_time_s,
         )
 
 
@@ -77,7 +92,7 @@ def test_the_likeliest_error_is_the_conditional_mean() -> None:
     solved = np.linalg.solve(world.covariance(world.variance_px2), world.pixel_px.ravel())
     np.testing.assert_allclose(pulled.ravel(), solved, rtol=1e-9)
     expected = np.einsum("ij,jab,ja->ib", world.kernel(), world.by_place, solved.reshape(11, 2))
-    np.testing.assert_allclose(whitening.drift(pulled), expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(whitening.correlated_error(pulled), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> None:
@@ -85,8 +100,11 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> 
     design = np.random.default_rng(5).normal(0.0, 3.0, (11, 2, 3))
     flat = design.reshape(22, 3)
 
-    def negative_log(variance: FloatArray, drift_m: float, drift_s: float) -> float:
-        covariance = world.covariance(variance.reshape(11, 2), drift_m, drift_s) + flat @ flat.T
+    def negative_log(variance: FloatArray, correlated_m: float, correlation_time_s: float) -> float:
+        covariance = (
+            world.covariance(variance.reshape(11, 2), correlated_m, correlation_time_s)
+            + flat @ flat.T
+        )
         return -float(multivariate_normal(cov=covariance).logpdf(world.pixel_px.ravel()))
 
     whitening = world.whitening()
@@ -95,7 +113,7 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> 
     covariance = np.linalg.inv(table[:, :3].T @ table[:, :3] + np.eye(3))
     step = covariance @ table[:, :3].T @ table[:, 3]
     solved = whitening.backward(white)
-    by_variance, by_size, by_length, _ = whitening.slopes(
+    by_variance, by_size, by_length, _ = whitening.gradient(
         solved[:, :, 3] - solved[:, :, :3] @ step, solved[:, :, :3], covariance, DRIFT_S
     )
     given = world.variance_px2.ravel()
@@ -180,7 +198,7 @@ HEAVE_M = 0.3
 def heaving(world: World, heave_m: float = HEAVE_M) -> tuple[FloatArray, FloatArray]:
     """(11, 2) pixels a metre of height, and the covariance (22, 22) that the heave adds."""
     by_height = np.random.default_rng(11).normal(0.0, 8.0, (11, 2))
-    kernel = world.kernel(heave_m, HEAVE_S)
+    kernel = world.kernel(heave_m, HEAVE_CORRELATION_TIME_S)
     return by_height, np.einsum("ia,ij,jc->iajc", by_height, kernel, by_height).reshape(22, 22)
 
 
@@ -196,13 +214,15 @@ def test_heave_is_another_error_that_lasts() -> None:
     np.testing.assert_allclose(made @ covariance @ made.T, np.eye(22), atol=1e-10)
 
     def negative_log(logs: FloatArray) -> float:
-        heave_m, drift_m = np.exp(logs)
-        total = world.covariance(world.variance_px2, drift_m) + heaving(world, heave_m)[1]
+        heave_m, correlated_m = np.exp(logs)
+        total = world.covariance(world.variance_px2, correlated_m) + heaving(world, heave_m)[1]
         return -float(multivariate_normal(cov=total).logpdf(world.pixel_px.ravel()))
 
     solved = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))
     nothing = np.zeros((11, 2, 1))
-    _, by_size, _, by_heave = whitening.slopes(solved[:, :, 0], nothing, np.zeros((1, 1)), DRIFT_S)
+    _, by_size, _, by_heave = whitening.gradient(
+        solved[:, :, 0], nothing, np.zeros((1, 1)), DRIFT_S
+    )
     expected = approx_fprime(np.log([HEAVE_M, DRIFT_M]), negative_log, 1e-6)
     np.testing.assert_allclose([by_heave, by_size], expected, rtol=1e-3, atol=1e-4)
 
@@ -212,5 +232,7 @@ def test_heave_moves_ranges_of_a_recording_together() -> None:
     plain = LogError(world.time_s, world.by_place[:, 0], world.group, DRIFT_M, DRIFT_S)
     lifted = replace(plain, heave=0.05)
     np.testing.assert_allclose(
-        lifted.covariance() - plain.covariance(), world.kernel(0.05, HEAVE_S), atol=1e-12
+        lifted.covariance() - plain.covariance(),
+        world.kernel(0.05, HEAVE_CORRELATION_TIME_S),
+        atol=1e-12,
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sightline.camera.horizon_tracker import HorizonFinder
-from sightline.detection.tiling import ViewSettings
+from sightline.detection.tiling import TilingSettings
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation import Harbour, Renderer
@@ -67,7 +67,7 @@ def test_real_recordings_agree_with_the_camera_fitted_to_the_log(data_dir: Path)
         # It is there to say where to search: from so far above the line to so far below it. A near
         # shore has its foot below the horizon, and the lens bends the horizon and not the line.
         line = np.interp(columns, [0.0, 1280.0], found)
-        settings = ViewSettings()
+        settings = TilingSettings()
         assert (truth > line - settings.above_px).all(), recording.name
         assert (truth < line + 0.5 * settings.below_px).all(), recording.name
         # In the middle, where no shore is near, it is the horizon to the thickness of the shore.

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 import sightline
 from sightline import Georeferencer, Scene
-from sightline.camera.motion import CameraMotionWatch
+from sightline.camera.motion import CameraMotionDetector
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, seen_again, widen
-from sightline.camera.static_intervals import StanceWatch
+from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.errors import InputError, ModelFileError
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.evaluate import place_boxes, score
@@ -135,13 +135,13 @@ def sea(turn_px: tuple[float, float], seed: int, *, duration_s: int = 40) -> Ite
 @pytest.mark.parametrize("seed", range(3))
 def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: int) -> None:
     level = Camera(5.0, 0.0, 0.0, 0.0, 900.0, 0.0, 0.0, 0.0, 0.0, (640, 360))
-    watch = CameraMotionWatch((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
+    watch = CameraMotionDetector((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
     shift_px = 900.0 * np.tan(np.radians(1.0))
     noticed = [one for f in sea((12.0, shift_px), seed) if (one := watch.update(f)) is not None]
     (turn,) = noticed
     assert np.isnan(turn.heading_deg)
     assert 1020.0 < turn.time_utc_s < 1040.0
-    found = CameraRotation.of(watch.stances, level)
+    found = CameraRotation.of(watch.static_intervals, level)
     assert found is not None
     assert found.heading_known.tolist() == [True, False]
     assert found.angles_deg[1, 1:] == pytest.approx([-1.0, 0.0], abs=0.05)
@@ -157,9 +157,9 @@ def test_a_horizon_alone_tells_pitch_and_roll_and_leaves_the_heading_open(seed: 
 def test_nothing_is_turned_where_only_waves_move() -> None:
     level = Camera(5.0, 0.0, 0.0, 0.0, 900.0, 0.0, 0.0, 0.0, 0.0, (640, 360))
     for seed in range(5):
-        watch = CameraMotionWatch((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
+        watch = CameraMotionDetector((180.0, 180.0), 900.0, least_deg=0.05, reference_frames=5)
         assert [watch.update(f) for f in sea((0.0, 0.0), seed)] == [None] * 40
-        assert CameraRotation.of(watch.stances, level) is None
+        assert CameraRotation.of(watch.static_intervals, level) is None
 
 
 @dataclass(frozen=True)
@@ -209,7 +209,7 @@ def off_m(scene: Scene, model: Georeferencer) -> float:
 def test_places_hold_after_a_turn_of_a_degree(world: World) -> None:
     still_m = off_m(world.still, world.model)
     assert off_m(world.scene, world.model) < 1.15 * still_m
-    unwatched = replace(world.scene, camera=replace(world.scene.camera, watched=False))
+    unwatched = replace(world.scene, camera=replace(world.scene.camera, compensate_rotation=False))
     assert off_m(unwatched, world.model) > 5.0 * still_m
 
 
@@ -236,7 +236,7 @@ def test_tracks_hold_as_pictures_come_in(world: World, corrected: bool) -> None:
         world.model,
         clock=recording.clock(),
         detector=Eye(recording.boxes()),
-        settings=TrackSettings(correct_turns=corrected),
+        settings=TrackSettings(compensate_rotation=corrected),
     )
     error_m, inside = [], []
     for one in found:
@@ -256,7 +256,7 @@ def test_tracks_hold_as_pictures_come_in(world: World, corrected: bool) -> None:
 
 def test_a_fit_takes_the_turn_of_a_recording_off_its_boxes(world: World) -> None:
     def residual_m(watched: bool) -> float:
-        camera = replace(world.scene.camera, watched=watched)
+        camera = replace(world.scene.camera, compensate_rotation=watched)
         fitted = sightline.fit(replace(world.scene, camera=camera), "camera")
         said = " ".join(fitted.report.statements)
         assert ("was turned" in said) == watched
@@ -297,7 +297,7 @@ def test_a_model_remembers_what_stands_still(world: World, tmp_path: Path) -> No
 
 def test_a_view_without_places_is_refused() -> None:
     with pytest.raises(InputError, match="each with its row"):
-        View(np.zeros((3, 4, 4), np.uint8), np.zeros(2, np.int64), np.zeros(3, np.int64))
+        ReferenceView(np.zeros((3, 4, 4), np.uint8), np.zeros(2, np.int64), np.zeros(3, np.int64))
 
 
 def test_a_knock_turns_the_simulated_camera_and_the_sky_stays(world: World) -> None:
@@ -322,7 +322,7 @@ def test_the_real_camera_was_knocked_once_and_its_boxes_are_better_without(data_
     (said,) = [s for s in fitted.report.statements if "was turned" in s]
     # It was knocked in recording 08; 18 and 19 are the earliest.
     assert "recordings 06, 07, 08, 18, 19 it" in said
-    unwatched = replace(scene, camera=replace(scene.camera, watched=False))
+    unwatched = replace(scene, camera=replace(scene.camera, compensate_rotation=False))
     plain = sightline.fit(unwatched, "camera")
     watched_m, plain_m = (
         score(place_boxes(one, lambda _, m=model: m)).ape.median
@@ -340,11 +340,11 @@ def test_the_mirror_image_of_a_shore_is_not_taken_for_the_shore_turned(
     fitted = sightline.fit(scene, "camera")
     assert fitted.camera is not None
     assert fitted.view is not None
-    watches = {mirrored: StanceWatch() for mirrored in (False, True)}
+    watches = {mirrored: StaticIntervalMonitor() for mirrored in (False, True)}
     for frame in scene[name].frames(apart_s=1.0):
         watches[False].observe(frame)
         watches[True].observe(replace(frame, image_bgr=frame.image_bgr[:, ::-1].copy()))
-    shore = {mirrored: watch.stances for mirrored, watch in watches.items()}
+    shore = {mirrored: watch.static_intervals for mirrored, watch in watches.items()}
     assert shore[False]
     assert shore[True]
     assert seen_again(fitted.view, shore[False][0].view, fitted.camera)

@@ -136,7 +136,7 @@ def test_a_target_at_rest_is_foretold_to_stay_though_the_platform_goes_on() -> N
     there = np.full((times.size, 2), [60.0, 200.0])
     noise = np.tile(0.25 * np.eye(2), (times.size, 1, 1))
     seen = Positions(there[:, 0], there[:, 1], noise, np.zeros(times.size, bool), plane)
-    followed = follow(times, seen, eye_m=en_m)
+    followed = follow(times, seen, camera_position_m=en_m)
     mean, _ = followed[-1:].ahead(10.0).moments()
     np.testing.assert_allclose(mean[0, :2], [60.0, 200.0], atol=1.0)
     np.testing.assert_allclose(mean[0, 2:], 0.0, atol=0.2)

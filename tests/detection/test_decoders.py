@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from onnx import TensorProto
 
-from sightline.detection import DetectorOptions, OnnxDetector, ViewSettings
+from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings
 from sightline.detection.decoders import DECODERS
 from sightline.errors import InputError
 from sightline.types import Frame
@@ -22,7 +22,7 @@ BOX = np.array([100.0, 84.0, 164.0, 116.0])
 MIDDLE, SIZE = np.array([132.0, 100.0]), np.array([64.0, 32.0])
 BOAT = 8
 SCORE = 0.75
-WHOLE = ViewSettings(kind="whole")
+WHOLE = TilingSettings(kind="whole")
 
 Outputs = dict[str, np.ndarray]
 

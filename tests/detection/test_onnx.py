@@ -11,7 +11,13 @@ import numpy as np
 import pytest
 from onnx import TensorProto
 
-from sightline.detection import DetectorOptions, OnnxDetector, View, ViewSettings, detector_by_name
+from sightline.detection import (
+    DetectorOptions,
+    OnnxDetector,
+    Tile,
+    TilingSettings,
+    detector_by_name,
+)
 from sightline.detection.metadata import DetectorMetadata, LowerEdge
 from sightline.detection.onnx import available_providers
 from sightline.errors import InputError
@@ -21,7 +27,7 @@ from sightline.types import Frame
 
 MakeFile = Callable[..., Path]
 
-WHOLE = ViewSettings(kind="whole")
+WHOLE = TilingSettings(kind="whole")
 
 
 def bright(*squares: tuple[int, int], size: tuple[int, int] = (1280, 720)) -> Frame:
@@ -62,7 +68,7 @@ def test_boxes_are_of_the_frame_whatever_the_network_takes(
     shape: tuple[int | str, ...], bright_cells_file: MakeFile
 ) -> None:
     file = bright_cells_file(shape=shape, metadata=own(input=EIGHTS))
-    options = DetectorOptions(views=ViewSettings(kind="tiles", near_scale=0.0), threshold=0.9)
+    options = DetectorOptions(views=TilingSettings(kind="tiles", near_scale=0.0), threshold=0.9)
     squares = ((8, 16), (640, 360), (1272, 712), (320, 0))
     boxes = OnnxDetector(file, options=options).detect(bright(*squares))
     assert by_place(boxes.xyxy_px) == sorted(boxes_of(*squares))
@@ -73,17 +79,17 @@ def test_boxes_are_of_the_frame_whatever_the_network_takes(
 
 def test_only_the_strip_is_looked_at_as_it_is(bright_cells_file: MakeFile) -> None:
     file = bright_cells_file(metadata=own(input=EIGHTS))
-    settings = ViewSettings(above_px=40, below_px=120, near_scale=0.0)
+    settings = TilingSettings(above_px=40, below_px=120, near_scale=0.0)
     options = DetectorOptions(views=settings, threshold=0.9)
     detector = OnnxDetector(file, options=options, horizon_px=(400.0, 400.0))
     frame = bright((80, 368), (80, 512), (80, 344), (80, 600))
-    assert detector.views(frame) == (View(0, 360, 1280, 160, 1.0),)
+    assert detector.views(frame) == (Tile(0, 360, 1280, 160, 1.0),)
     assert by_place(detector.detect(frame).xyxy_px) == boxes_of((80, 368), (80, 512))
 
 
 def test_what_is_near_and_large_is_found_scaled_down(bright_cells_file: MakeFile) -> None:
     file = bright_cells_file(metadata=own(input=EIGHTS))
-    options = DetectorOptions(threshold=0.9, views=ViewSettings(below_px=120))
+    options = DetectorOptions(threshold=0.9, views=TilingSettings(below_px=120))
     detector = OnnxDetector(file, options=options, horizon_px=(400.0, 400.0))
     frame = bright()
     frame.image_bgr[616:648, 64:96] = 255
@@ -224,7 +230,7 @@ def test_the_file_says_what_it_is_for(constant_file: MakeFile) -> None:
         classes=("boat", "sailboat"),
         default_classes=("boat",),
         score_threshold=0.35,
-        views=ViewSettings(kind="whole"),
+        views=TilingSettings(kind="whole"),
         lower_edge=LowerEdge(px=2.0, share=0.15, spread_px=0.5),
     )
     file = constant_file(rows, metadata={"sightline": metadata.to_json()})
@@ -232,7 +238,7 @@ def test_the_file_says_what_it_is_for(constant_file: MakeFile) -> None:
     assert detector.lower_edge == LowerEdge(px=2.0, share=0.15, spread_px=0.5)
     frame = bright(size=(320, 320))
     assert detector.threshold == 0.35
-    assert detector.views(frame) == (View(0, 0, 320, 320, 1.0),)
+    assert detector.views(frame) == (Tile(0, 0, 320, 320, 1.0),)
     assert detector.detect(frame).label.tolist() == ["boat"]
     both = OnnxDetector(file, options=DetectorOptions(classes=("sailboat", "boat")))
     assert both.detect(frame).label.tolist() == ["sailboat", "boat"]
@@ -353,7 +359,7 @@ def test_the_horizon_is_found_where_nobody_tells_it(bright_cells_file: MakeFile)
     assert abs(strip.y - (300 - 40)) <= 3
     assert (strip.scale, near.scale) == (1.0, 0.25)
     detector.reset()
-    assert detector.views(bright()) == (View(0, 0, 1280, 720, 1.0),)
+    assert detector.views(bright()) == (Tile(0, 0, 1280, 720, 1.0),)
 
 
 def test_a_published_detector_finds_boats_on_real_frames(data_dir: Path) -> None:
@@ -363,7 +369,7 @@ def test_a_published_detector_finds_boats_on_real_frames(data_dir: Path) -> None
     drawn = recording.boxes()
     best: dict[str, list[float]] = {}
     for kind in ("whole", "strip"):
-        options = DetectorOptions(classes=("boat",), views=ViewSettings(kind=kind))
+        options = DetectorOptions(classes=("boat",), views=TilingSettings(kind=kind))
         detector = OnnxDetector(data_dir / "weights" / "FastestDet.onnx", options=options)
         assert detector.decoder == "fastestdet"
         for frame in recording.frames():

@@ -66,6 +66,16 @@ def test_rows_are_those_of_the_papers_table() -> None:
     assert values["all", "MSE"] == pytest.approx({"nn": 10.0, "qkr": 5.0})
 
 
+def test_one_recording_is_not_pooled_with_itself() -> None:
+    one = paper_rows({"nn": report_off(v1=4.0), "qkr": report_off(v1=1.0)})
+    assert [row.recording for row in one] == ["v1"] * 4
+    # A report that knows no recordings has all that there is.
+    whole = report_off(v1=4.0).recordings["v1"]
+    rows = paper_rows({"nn": whole})
+    assert [row.recording for row in rows] == ["all"] * 4
+    assert rows[1].values == pytest.approx({"nn": 4.0})
+
+
 def test_a_recording_that_a_model_lacks_has_no_number() -> None:
     rows = paper_rows({"nn": report_off(v1=4.0), "qkr": report_off(v1=1.0, v2=3.0)})
     missing = next(row for row in rows if (row.recording, row.metric) == ("v2", "RMSE"))
@@ -92,7 +102,8 @@ def test_the_overview_has_a_row_for_each_model() -> None:
     comparison = Comparison(
         {"nn": report_off(v1=4.0), "qkr": report_off(v1=2.0)}, {"qkr": report_off(v1=1.0)}
     )
-    lines = rendered(overview_table(comparison)).splitlines()
+    lines = rendered(overview_table(comparison, "all recordings")).splitlines()
+    assert lines[0].strip() == "all recordings"
     cells = {
         parts[0]: parts[1:]
         for parts in ([cell.strip() for cell in line.split("│")[1:-1]] for line in lines)
@@ -113,13 +124,27 @@ def test_the_json_has_models_and_smoothed(tmp_path) -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0341, "0.034"), (4.666, "4.67"), (28.44, "28.4"), (12734.71, "12735"), (math.nan, "–")],
+    [
+        (0.0341, "0.034"),
+        (0.1, "0.10"),
+        (4.666, "4.67"),
+        (10.0, "10.0"),
+        (28.44, "28.4"),
+        (1000.0, "1000"),
+        (12734.71, "12735"),
+        (-28.44, "-28.4"),
+        (-0.0341, "-0.034"),
+        (math.nan, "–"),
+    ],
 )
 def test_numbers_have_the_digits_that_they_deserve(value: float, text: str) -> None:
     assert number(value) == text
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.0678, "6.8 %"), (0.941, "94 %"), (math.nan, "–")])
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0678, "6.8 %"), (0.0995, "10 %"), (0.941, "94 %"), (-0.25, "-25 %"), (math.nan, "–")],
+)
 def test_shares_are_percentages(value: float, text: str) -> None:
     assert percent(value) == text
 

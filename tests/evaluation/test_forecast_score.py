@@ -77,6 +77,33 @@ def test_fixes_that_are_old_or_far_apart_foretell_nothing() -> None:
     )
 
 
+def test_the_log_foretells_from_its_second_fix_on_up_to_the_longest_gap() -> None:
+    """Fixes 4 s apart, and one 5 s after: what is as old, or as far apart, as the gap counts."""
+    fix_s = np.array([0.0, 4.0, 8.0, 13.0, 17.0])
+    place = np.stack([fix_s**2, np.full(fix_s.size, 50.0)], axis=1)
+    seen_s = np.array([0.0, 2.0, 4.0, 6.0, 12.0, 12.5, 14.0])
+    known = states(seen_s, np.stack([seen_s, np.full(7, 50.0)], axis=1), np.array([0.0, 0.0]))
+    got = pair_forecasts(known, log_of(fix_s, place), 1.5, largest_gap_s=4.0)
+    np.testing.assert_allclose(got.pairs.time_utc_s, [3.5, 5.5, 7.5, 13.5, 14.0, 15.5])
+
+    def truth(time_s: float) -> float:
+        return float(np.interp(time_s, fix_s, place[:, 0]))
+
+    expected = [
+        # One fix alone.
+        np.nan,
+        # 16 m at 4 m/s, at the fix and 2 s after it.
+        abs(16.0 + 4.0 * 1.5 - truth(5.5)),
+        abs(16.0 + 4.0 * 3.5 - truth(7.5)),
+        # 64 m at 12 m/s, 4 s old.
+        abs(64.0 + 12.0 * 5.5 - truth(13.5)),
+        # It is older, then the last two lie further apart.
+        np.nan,
+        np.nan,
+    ]
+    np.testing.assert_allclose(got.log_error_m, expected, rtol=1e-5)
+
+
 def test_nothing_to_compare_is_no_number() -> None:
     one = forecast_errors([], (5.0,))["5"]
     assert one.n == one.beside_log.n == 0

@@ -287,10 +287,10 @@ def test_coverage_with_the_logs_error_is_the_stated_probability_where_the_log_is
             exact,
             true_east_m=exact.true_east_m + off[0],
             true_north_m=exact.true_north_m + off[1],
-            log_sigma_m=np.full(n, 3.0),
+            reference_sigma_m=np.full(n, 3.0),
         )
     )
-    assert found.log_sigma_m == pytest.approx(3.0)
+    assert found.reference_sigma_m == pytest.approx(3.0)
     for share, probability in ((found.p50_with_log, 0.5), (found.p95_with_log, 0.95)):
         low, high = binom.interval(0.9999, n, probability)
         assert low / n <= share <= high / n
@@ -327,21 +327,21 @@ def test_coverage_is_over_those_pairs_that_state_a_covariance() -> None:
     pairs = gaussian_pairs(101, 0.5, 5)
     covariance = pairs.covariance_m2.copy()
     covariance[::2] = np.nan
-    log_sigma_m = np.linspace(0.5, 6.0, 101)
-    mixed = replace(pairs, covariance_m2=covariance, log_sigma_m=log_sigma_m)
+    reference_sigma_m = np.linspace(0.5, 6.0, 101)
+    mixed = replace(pairs, covariance_m2=covariance, reference_sigma_m=reference_sigma_m)
     inside = np.zeros(4, dtype=int)
     for i in range(1, 101, 2):
         off = np.array(
             [pairs.true_east_m[i] - pairs.east_m[i], pairs.true_north_m[i] - pairs.north_m[i]]
         )
         for k, stated in enumerate(
-            (covariance[i], covariance[i] + log_sigma_m[i] ** 2 * np.eye(2))
+            (covariance[i], covariance[i] + reference_sigma_m[i] ** 2 * np.eye(2))
         ):
             distance = off @ np.linalg.inv(stated) @ off
             inside[2 * k :][:2] += distance <= chi2.ppf([0.5, 0.95], 2)
     found = coverage(mixed)
     assert found.n == 50
-    assert found.log_sigma_m == pytest.approx(np.sqrt(np.mean(log_sigma_m[1::2] ** 2)))
+    assert found.reference_sigma_m == pytest.approx(np.sqrt(np.mean(reference_sigma_m[1::2] ** 2)))
     shares = (found.p50, found.p95, found.p50_with_log, found.p95_with_log)
     np.testing.assert_allclose(shares, inside / 50)
     assert len(set(inside.tolist())) == 4
@@ -358,6 +358,11 @@ def test_a_stated_certainty_holds_only_where_it_is_right() -> None:
     )
     np.testing.assert_array_equal(mahalanobis_squared(pairs), [0.0, np.inf])
     assert coverage(pairs).p95 == 0.5
+    # As does one that is flat: to the sides of a line, or along it.
+    flat = replace(pairs, covariance_m2=np.full((2, 2, 2), 4.0))
+    np.testing.assert_array_equal(mahalanobis_squared(flat), [0.0, np.inf])
+    along = replace(flat, true_east_m=[0.0, 2.0], true_north_m=[5.0, 6.0])
+    np.testing.assert_array_equal(mahalanobis_squared(along), [0.0, np.inf])
 
 
 def test_bins_of_range_hold_every_pair_once() -> None:

@@ -16,7 +16,7 @@ from sightline.evaluation.report import (
     write_json,
 )
 from sightline.geodesy import LocalPlane
-from sightline.types import Fixes, Positions, Track
+from sightline.types import Fixes, FloatArray, Positions, Track
 
 PLANE = LocalPlane(32.70297, -117.234631)
 START = 1_601_494_584.0
@@ -30,7 +30,7 @@ def log_between(start_s: float, stop_s: float) -> Fixes:
     return Fixes(times, *PLANE.to_geographic(east, np.full(times.size, 100.0)))
 
 
-def positions_off(error_m: float, times=TIMES) -> Positions:
+def positions_off(error_m: float | FloatArray, times=TIMES) -> Positions:
     n = len(times)
     return Positions(
         east_m=2.0 * (np.asarray(times) - START),
@@ -41,7 +41,7 @@ def positions_off(error_m: float, times=TIMES) -> Positions:
     )
 
 
-def track_off(track_id: int, error_m: float, times=TIMES) -> Track:
+def track_off(track_id: int, error_m: float | FloatArray, times=TIMES) -> Track:
     positions, n = positions_off(error_m, times), len(times)
     return Track(
         track_id=track_id,
@@ -170,6 +170,74 @@ def test_a_scrap_of_a_track_near_the_target_is_not_taken_for_it() -> None:
     assert alone.ape.n == 4
 
 
+@pytest.mark.parametrize(("half", "used"), [(51, 2), (50, 1)])
+def test_a_nearer_track_is_the_target_where_it_is_half_as_long(half: int, used: int) -> None:
+    """Both hold the log in their ellipses, of 2 m; the first is 50 s long, the other 25 or 24.5."""
+    tracks = [track_off(1, 3.0, TIMES[:101]), track_off(2, 0.5, TIMES[:half])]
+    report = evaluate_tracks(tracks, log_between(0, 60))
+    assert report.tracks is not None
+    assert report.tracks.used == (used,)
+
+
+@pytest.mark.parametrize(("stop", "used"), [(51, 2), (50, 1)])
+def test_a_nearer_track_is_the_target_where_it_meets_the_log_for_long_enough(
+    stop: int, used: int
+) -> None:
+    """None holds the log in its ellipses; the second meets it for 5 s, or for 4.5 s."""
+    tracks = [track_off(1, 30.0), track_off(2, 20.0, TIMES[40:stop])]
+    report = evaluate_tracks(tracks, log_between(0, 60), least_overlap_s=5.0)
+    assert report.tracks is not None
+    assert report.tracks.used == (used,)
+
+
+@pytest.mark.parametrize(("right", "used"), [(50, 1), (51, 2)])
+def test_a_track_whose_ellipses_hold_the_log_for_most_of_its_time_is_the_target(
+    right: int, used: int
+) -> None:
+    """It is the farther one, and right in half of its times, or in one more; the other never."""
+    off = np.full(100, 30.0)
+    off[:right] = 4.0
+    tracks = [track_off(2, off, TIMES[:100]), track_off(1, 3.0, TIMES[:100])]
+    tracks[1] = replace(tracks[1], covariance_m2=0.01 * tracks[1].covariance_m2)
+    report = evaluate_tracks(tracks, log_between(0, 60))
+    assert report.tracks is not None
+    assert report.tracks.used == (used,)
+
+
+@pytest.mark.parametrize(
+    ("others", "used"),
+    [
+        # As near, and of another time: before or after.
+        ([track_off(2, 2.1, TIMES[80:])], (1, 2)),
+        ([track_off(2, 2.1, TIMES[:20])], (1, 2)),
+        ([track_off(2, 2.1, TIMES[:20]), track_off(3, 2.1, TIMES[70:])], (1, 3, 2)),
+        # At most twice as far.
+        ([track_off(2, 3.9, TIMES[80:])], (1, 2)),
+        ([track_off(2, 4.1, TIMES[80:])], (1,)),
+        # Seen beside the target, if only for a moment.
+        ([track_off(2, 2.1, TIMES[69:])], (1,)),
+        ([track_off(2, 2.1, TIMES[:31])], (1,)),
+        # Seen beside one that continues it.
+        ([track_off(2, 2.1, TIMES[80:]), track_off(3, 2.1, TIMES[75:90])], (1, 2)),
+    ],
+)
+def test_tracks_of_other_times_that_are_as_near_continue_the_target(
+    others: list[Track], used: tuple[int, ...]
+) -> None:
+    tracks = [*others, track_off(1, 2.0, TIMES[30:70])]
+    report = evaluate_tracks(tracks, log_between(0, 60))
+    assert report.tracks is not None
+    assert report.tracks.used == used
+
+
+def test_what_its_own_ellipses_deny_does_not_continue_the_target() -> None:
+    precise = track_off(2, 2.1, TIMES[80:])
+    precise = replace(precise, covariance_m2=0.01 * precise.covariance_m2)
+    report = evaluate_tracks([track_off(1, 2.0, TIMES[:70]), precise], log_between(0, 60))
+    assert report.tracks is not None
+    assert report.tracks.used == (1,)
+
+
 def test_a_named_track_is_scored_however_far_it_is() -> None:
     tracks = [track_off(1, 40.0), track_off(2, 3.0)]
     report = evaluate_tracks(tracks, log_between(0, 60), track_id=1)
@@ -211,6 +279,17 @@ def test_tracks_of_several_recordings_are_chosen_in_each() -> None:
         (
             lambda: evaluate_tracks([track_off(4, 1.0)], log_between(500, 600)),
             "to 2020-09-30T19:37:23Z, the log from 2020-09-30T19:44:44Z to 2020-09-30T19:46:24Z",
+        ),
+        (
+            # The logs of several recordings are told as one, from the first fix to the last.
+            lambda: evaluate_tracks(
+                {"a": [track_off(4, 1.0)], "b": [track_off(4, 1.0)], "c": [track_off(4, 1.0)]},
+                {"a": log_between(700, 760), "b": log_between(500, 900), "c": Fixes([], [], [])},
+            ),
+            (
+                "from 2020-09-30T19:36:24Z to 2020-09-30T19:37:23Z, "
+                "the log from 2020-09-30T19:44:44Z to 2020-09-30T19:51:24Z"
+            ),
         ),
         (
             lambda: evaluate_tracks({"07": [track_off(4, 1.0)]}, {"08": log_between(0, 60)}),

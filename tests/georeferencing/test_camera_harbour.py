@@ -108,7 +108,7 @@ def test_the_camera_of_the_harbour_is_found(learned: list[Learned]) -> None:
 def test_the_camera_is_as_sure_as_stated(learned: list[Learned]) -> None:
     z = np.array([one.in_sigmas for one in learned])
     assert np.abs(z).max() < 3.0
-    # The height shares an unknown with the habit of whoever drew the boxes: it is surer than that.
+    # The height shares an unknown with the bias of whoever drew the boxes: it is surer than that.
     assert 0.4 < np.sqrt(np.mean(z[:, 1] ** 2)) < 1.6
 
 
@@ -144,4 +144,4 @@ def test_two_sources_of_one_moment_do_not_make_the_log_absurd(seed: int) -> None
     camera, true = model.camera_, harbour.camera
     assert abs(camera.height_m / true.height_m - 1.0) < 0.25
     assert abs(camera.focal_px / true.focal_length_px - 1.0) < 0.15
-    assert model.fit_.noise.drift_m < 4.0
+    assert model.fit_.noise.correlated_m < 4.0

@@ -9,11 +9,11 @@ from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import CAMERA, HEADING
 from sightline.evaluation.comparison import Comparison
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.observations import CameraObservations
 from sightline.pipeline.evaluate import compare
 from sightline.scene import Scene
-from sightline.scene.correspondences import scene_pairs
+from sightline.scene.correspondences import scene_correspondences
 
 pytestmark = pytest.mark.slow
 
@@ -29,17 +29,17 @@ def comparison(scene: Scene) -> Comparison:
 
 
 @pytest.fixture(scope="module")
-def pairs(scene: Scene) -> Pairs:
+def pairs(scene: Scene) -> Correspondences:
     assert scene.plane is not None
-    return scene_pairs(scene, scene.plane)
+    return scene_correspondences(scene, scene.plane)
 
 
 @pytest.fixture(scope="module")
-def full(scene: Scene, pairs: Pairs) -> CameraFit:
+def full(scene: Scene, pairs: Correspondences) -> CameraFit:
     return fit_pairs(scene, pairs, starts=20)
 
 
-def fit_pairs(scene: Scene, pairs: Pairs, *, starts: int) -> CameraFit:
+def fit_pairs(scene: Scene, pairs: Correspondences, *, starts: int) -> CameraFit:
     observations = CameraObservations(
         pairs.boxes.xyxy_px,
         pairs.east_north_m,
@@ -81,7 +81,7 @@ def test_nearly_all_random_starts_end_at_one_camera(full: CameraFit) -> None:
 
 
 def test_halves_of_the_boxes_agree_with_all_of_them(
-    scene: Scene, pairs: Pairs, full: CameraFit
+    scene: Scene, pairs: Correspondences, full: CameraFit
 ) -> None:
     rng = np.random.default_rng(20)
     for _ in range(20):

@@ -10,23 +10,23 @@ import pytest
 import sightline
 from sightline.errors import FitError, InputError
 from sightline.formats import write_fixes
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.support import Support
 from sightline.scene import Scene
-from sightline.scene.camera_state import scene_stances
-from sightline.scene.correspondences import scene_pairs
+from sightline.scene.camera_state import scene_static_intervals
+from sightline.scene.correspondences import scene_correspondences
 from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
 
 MODELS_OF_CAMERAS = ("camera", "camera+gpr")
 
 
 @pytest.fixture(scope="module")
-def pairs(small_scene: Scene) -> Pairs:
+def pairs(small_scene: Scene) -> Correspondences:
     plane = small_scene.plane
     assert plane is not None
-    return scene_pairs(small_scene, plane)
+    return scene_correspondences(small_scene, plane)
 
 
 def box_at(*feet: tuple[float, float]) -> np.ndarray:
@@ -35,9 +35,11 @@ def box_at(*feet: tuple[float, float]) -> np.ndarray:
     return np.column_stack([foot[:, 0] - 20, foot[:, 1] - 18, foot[:, 0] + 20, foot[:, 1]])
 
 
-def learn(model: str, pairs: Pairs, scene: Scene) -> Georeferencer:
+def learn(model: str, pairs: Correspondences, scene: Scene) -> Georeferencer:
     return fit(
-        FitInputs(pairs, (1280, 720), scene.control_points, stances=scene_stances(scene)),
+        FitInputs(
+            pairs, (1280, 720), scene.control_points, static_intervals=scene_static_intervals(scene)
+        ),
         FitSettings(model),
     )
 
@@ -73,7 +75,7 @@ def test_no_boxes_have_no_positions(fitted: Any, model: str, nothing: Any) -> No
 
 
 @pytest.mark.parametrize("model", sightline.MODELS)
-def test_a_single_box_needs_no_table(fitted: Any, model: str, pairs: Pairs) -> None:
+def test_a_single_box_needs_no_table(fitted: Any, model: str, pairs: Correspondences) -> None:
     box = pairs.boxes.xyxy_px[7]
     one, table = fitted(model).locate(box), fitted(model).locate(box[None])
     assert len(one) == 1
@@ -86,7 +88,7 @@ def test_a_single_box_needs_no_table(fitted: Any, model: str, pairs: Pairs) -> N
 
 @pytest.mark.parametrize("model", sightline.MODELS)
 def test_beyond_the_training_boxes_it_says_that_it_extrapolates(
-    fitted: Any, model: str, pairs: Pairs
+    fitted: Any, model: str, pairs: Correspondences
 ) -> None:
     boxes = pairs.boxes.xyxy_px
     positions = fitted(model).locate(boxes)
@@ -139,7 +141,9 @@ def test_a_box_without_a_place_is_beyond_what_was_learned(fitted: Any, model: st
 
 
 @pytest.mark.parametrize("model", MODELS_OF_CAMERAS)
-def test_a_source_that_nobody_knows_is_less_certain(fitted: Any, model: str, pairs: Pairs) -> None:
+def test_a_source_that_nobody_knows_is_less_certain(
+    fitted: Any, model: str, pairs: Correspondences
+) -> None:
     boxes = pairs.boxes.xyxy_px
     known, unknown = (fitted(model).locate(boxes, source=name) for name in ("first", "somebody"))
     both = known.known & unknown.known
@@ -156,7 +160,7 @@ def test_a_source_that_nobody_knows_is_less_certain(fitted: Any, model: str, pai
 @pytest.mark.parametrize("model", MODELS_OF_CAMERAS)
 @pytest.mark.parametrize("source", ["first", "somebody"])
 def test_what_moments_share_is_a_part_of_the_whole_covariance(
-    fitted: Any, model: str, source: str, pairs: Pairs
+    fitted: Any, model: str, source: str, pairs: Correspondences
 ) -> None:
     extremes = box_at((20.0, 500.0), (640.0, 700.0), (1270.0, 460.0))
     positions = fitted(model).locate(np.concatenate([pairs.boxes.xyxy_px, extremes]), source=source)
@@ -201,7 +205,7 @@ def test_an_unknown_model_lists_the_known(small_scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("model", sightline.MODELS)
-def test_too_few_pairs_are_refused(model: str, pairs: Pairs, small_scene: Scene) -> None:
+def test_too_few_pairs_are_refused(model: str, pairs: Correspondences, small_scene: Scene) -> None:
     with pytest.raises(FitError, match=r"at least \d") as caught:
         learn(model, pairs[:2], small_scene)
     assert "\n" not in str(caught.value)
@@ -210,7 +214,7 @@ def test_too_few_pairs_are_refused(model: str, pairs: Pairs, small_scene: Scene)
 @pytest.mark.parametrize("model", sightline.MODELS)
 @pytest.mark.parametrize("still", ["boxes", "fixes", "both"])
 def test_a_target_that_stays_in_one_place_is_refused(
-    model: str, still: str, pairs: Pairs, small_scene: Scene
+    model: str, still: str, pairs: Correspondences, small_scene: Scene
 ) -> None:
     n = 20
     boxes, places = pairs.boxes[:n], pairs.east_north_m[:n]

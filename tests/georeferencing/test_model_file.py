@@ -15,6 +15,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 import sightline
+from sightline.camera.priors import CameraPrior
 from sightline.errors import InputError, ModelFileError
 from sightline.georeferencing.residual_gp import Hyperparameters
 
@@ -93,6 +94,12 @@ def test_a_model_of_release_0_1_is_read(fitted: Any, tmp_path: Path) -> None:
     for key in ("range", "bearing"):
         own = content["settings"][key]
         own["hyperparameters"] = np.log(own["hyperparameters"]).tolist()
+    noise = content["settings"]["noise"]
+    noise["drift_m"], noise["drift_s"] = noise.pop("correlated_m"), noise.pop("correlation_time_s")
+    prior = {name: getattr(CameraPrior(), name) for name in CameraPrior.__dataclass_fields__}
+    for quantity in ("focal", "height"):
+        prior[f"{quantity}_log_sigma"] = prior.pop(f"log_{quantity}_sigma")
+    content["settings"]["prior"] = prior
     old = tmp_path / "old.model"
     save_file(tensors, old, {**metadata, "format_version": "1", "content": json.dumps(content)})
     one, other = (g.locate(some_boxes()) for g in (model, sightline.load(old)))

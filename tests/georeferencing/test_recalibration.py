@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings, fit
-from sightline.georeferencing.recalibration import moved_since
+from sightline.georeferencing.recalibration import camera_changes
 from sightline.simulation import BoxNoise, Harbour
 from sightline.types import ControlPoints
 
@@ -15,7 +15,7 @@ from sightline.types import ControlPoints
 def harbour_pairs(harbour, seed_px, times):
     boxes = harbour.boxes(times, noise=BoxNoise(std_px=seed_px, correlation_time_s=1.0))
     truth = harbour.truth(boxes.time_utc_s)
-    return Pairs(
+    return Correspondences(
         boxes=boxes,
         recording=np.full(len(boxes), "one"),
         east_north_m=np.stack([truth.east_m, truth.north_m], axis=1),
@@ -38,7 +38,7 @@ def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without(
         harbour = Harbour.random(seed=seed, duration_s=240.0)
         pairs = harbour_pairs(harbour, 1.0, harbour.times(rate_hz=1.0))
         model = model_of(harbour, pairs[::2])
-        alarms += len(moved_since(model, pairs[1::2]))
+        alarms += len(camera_changes(model, pairs[1::2]))
         # A turn to the right moves all columns to the left, by the focal length in the middle.
         turned_at = float(np.quantile(pairs.boxes.time_utc_s, 0.5))
         shifted = pairs.boxes.xyxy_px.copy()
@@ -48,7 +48,7 @@ def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without(
         kept = shifted[:, 2] > 20.0
         shifted[:, 0] = np.minimum(shifted[:, 0], shifted[:, 2] - 1.0)
         boxes = pairs.boxes.with_columns(xyxy_px=shifted)
-        found = moved_since(model, replace(pairs, boxes=boxes)[kept])
+        found = camera_changes(model, replace(pairs, boxes=boxes)[kept])
         assert len(found) == 1
         assert abs(found[0].since_utc_s - turned_at) < 20.0
         assert found[0].heading_deg == pytest.approx(1.0, abs=0.4)

@@ -15,7 +15,7 @@ from sightline.formats import read_boxes
 from sightline.formats.labels import read_labels
 from sightline.labelling import Proposals, TargetSize, expect, learn_size, propose
 from sightline.labelling.expected import place_of
-from sightline.labelling.snapping import Background, Belief, Look, snap
+from sightline.labelling.snapping import Background, BoxPrior, Look, snap
 from sightline.overlap import iou
 from sightline.simulation.simulate import simulate
 from sightline.types import Frame
@@ -162,7 +162,7 @@ def test_a_box_takes_in_the_hull_and_not_the_wake() -> None:
     cv2.rectangle(image, (140, 100), (179, 117), (20, 20, 20), -1)
     cv2.rectangle(image, (180, 114), (260, 117), (250, 250, 250), -1)
     cv2.line(image, (158, 60), (158, 100), (250, 250, 250), 1)
-    belief = Belief(np.array([133.0, 97.0, 173.0, 115.0]), np.array([10.0, 6.0]), 0.4)
+    belief = BoxPrior(np.array([133.0, 97.0, 173.0, 115.0]), np.array([10.0, 6.0]), 0.4)
     found = snap(Look.at(background, image, belief), belief)
     assert found is not None
     np.testing.assert_allclose(found[0], [140.0, 100.0, 180.0, 118.0], atol=2.0)
@@ -171,7 +171,7 @@ def test_a_box_takes_in_the_hull_and_not_the_wake() -> None:
 def test_where_nothing_stands_out_there_is_no_box() -> None:
     rng = np.random.default_rng(1)
     background = Background.of((Frame(i, float(i), sea(rng)) for i in range(9)), "01")
-    belief = Belief(np.array([130.0, 95.0, 180.0, 122.0]), np.array([10.0, 6.0]), 0.4)
+    belief = BoxPrior(np.array([130.0, 95.0, 180.0, 122.0]), np.array([10.0, 6.0]), 0.4)
     assert snap(Look.at(background, sea(rng), belief), belief) is None
 
 

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from sightline import Georeferencer, Scene, fit
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation
 from sightline.camera.state import ObservedBoxes
-from sightline.camera.static_intervals import StanceWatch
+from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.formats import read_clock
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.camera_state import CameraMotionMonitor, camera_turns
@@ -49,14 +49,18 @@ class Fitted:
     moving: bool = False
     image_size_px: tuple[int, int] = SIZE_PX
     horizon_px: None = None
-    view: View | None = None
+    view: ReferenceView | None = None
     plane: LocalPlane = field(default_factory=lambda: LocalPlane(54.3, 10.1))
 
     def check_water(self, given: bool, _where: str = "") -> None:
         assert not given
 
-    def rotation_in(self, stances: Sequence[Stance]) -> CameraRotation | None:
-        return None if self.camera is None else CameraRotation.of(stances, self.camera, self.view)
+    def rotation_in(self, static_intervals: Sequence[StaticInterval]) -> CameraRotation | None:
+        return (
+            None
+            if self.camera is None
+            else CameraRotation.of(static_intervals, self.camera, self.view)
+        )
 
     def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
         return boxes
@@ -161,11 +165,11 @@ def test_a_turn_of_a_pixel_and_a_half_is_seen_and_measured() -> None:
     assert START_S + 12.0 < turn.time_utc_s < START_S + 20.0
 
 
-def view_of(frames: Iterator[Frame]) -> View:
-    watch = StanceWatch()
+def view_of(frames: Iterator[Frame]) -> ReferenceView:
+    watch = StaticIntervalMonitor()
     for frame in frames:
         watch.observe(frame)
-    return watch.stances[0].view
+    return watch.static_intervals[0].view
 
 
 def at_night(frames: Iterator[Frame]) -> Iterator[Frame]:

@@ -7,18 +7,18 @@ import pytest
 
 from sightline.association import Association, associate
 from sightline.association.observations import observe
-from sightline.association.search import Watch
+from sightline.association.search import RecordingObservations
 from sightline.camera.pinhole import Camera
 from sightline.detection import LowerEdge
 from sightline.formats import write_boxes, write_fixes
 from sightline.geodesy import LocalPlane
-from sightline.logged_path import LoggedPath
 from sightline.pipeline.fit_unlabelled import (
-    APART_S,
+    CORRELATION_TIME_S,
     MOST_A_RECORDING,
     fit_association,
-    recognised_pairs,
+    recognised_correspondences,
 )
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Scene
 from sightline.types import Boxes, Fixes, FloatArray
 
@@ -86,8 +86,8 @@ fixes = "log.csv"
 
 @pytest.fixture(scope="module")
 def association(scene: Scene) -> Association:
-    path = LoggedPath.of(scene["one"].fixes(), PLANE)
-    return associate([Watch("one", observe(detections()), (path,))], SIZE)
+    path = ReferenceTrajectory.of(scene["one"].fixes(), PLANE)
+    return associate([RecordingObservations("one", observe(detections()), (path,))], SIZE)
 
 
 def test_a_measured_edge_is_below_the_hull_and_not_the_camera_higher(
@@ -110,10 +110,10 @@ def test_boxes_that_teach_are_as_far_apart_as_their_errors_last(
 ) -> None:
     (found,) = association.found
     assert found.taken.sum() > 4 * MOST_A_RECORDING
-    pairs = recognised_pairs(association, PLANE, scene)
+    pairs = recognised_correspondences(association, PLANE, scene)
     assert 0.5 * MOST_A_RECORDING < len(pairs) <= MOST_A_RECORDING
     apart_s = np.diff(pairs.boxes.time_utc_s)
     # A box may lie a quarter of a second from the middle of those that it stands for.
-    assert apart_s.min() >= APART_S - 0.5
+    assert apart_s.min() >= CORRELATION_TIME_S - 0.5
     # They are spread over all the time in which the vessel was seen.
     assert np.ptp(pairs.boxes.time_utc_s) > 0.95 * (found.last_utc_s - found.first_utc_s)

@@ -7,12 +7,12 @@ from typing import cast
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from sightline import Georeferencer, iter_tracks
+from sightline.camera.state import ObservedBoxes
 from sightline.geodesy import LocalPlane
 from sightline.platform import POSITION_SIGMA_M, Platform
-from sightline.types import Boxes, Fixes, FloatArray, Headings, Positions, Track
+from sightline.types import BodyPositions, Boxes, Fixes, FloatArray, Headings, LocatedBoxes, Track
 
 PLANE = LocalPlane(54.0, 10.0)
 SIZE_PX = (4000, 3000)
@@ -31,24 +31,19 @@ class OnBoard:
     horizon_px: None = None
     moving: bool = True
 
-    def level(self, boxes: Boxes, _horizons: None) -> Boxes:
-        return boxes
-
     def check_water(self, given: bool) -> None:
         assert not given
 
-    def locate(
-        self, boxes_xyxy_px: ArrayLike, _source: ArrayLike, _water_level_m: None
-    ) -> Positions:
-        boxes = np.asarray(boxes_xyxy_px, dtype=float)
-        n = len(boxes)
-        return Positions(
-            east_m=0.1 * (0.5 * (boxes[:, 0] + boxes[:, 2]) - 0.5 * SIZE_PX[0]),
-            north_m=0.1 * (SIZE_PX[1] - boxes[:, 3]),
+    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+        xyxy, n = boxes.xyxy_px, len(boxes)
+        positions = BodyPositions(
+            starboard_m=0.1 * (0.5 * (xyxy[:, 0] + xyxy[:, 2]) - 0.5 * SIZE_PX[0]),
+            ahead_m=0.1 * (SIZE_PX[1] - xyxy[:, 3]),
             covariance_m2=np.tile(0.04 * np.eye(2), (n, 1, 1)),
             extrapolated=np.zeros(n, dtype=bool),
             plane=self.plane,
         )
+        return LocatedBoxes.at(boxes, positions)
 
 
 def logs(bow_rad: float) -> tuple[Fixes, Headings, Boxes]:

@@ -13,7 +13,7 @@ from sightline.cli.run import result_dict
 from sightline.errors import FitError
 from sightline.evaluation.report import pair_target
 from sightline.formats import read_boxes, write_boxes
-from sightline.pipeline.evaluate import Placed, place_boxes
+from sightline.pipeline.evaluate import LocatedRecording, place_boxes
 from sightline.pipeline.fit_unlabelled import fit_scene
 from sightline.pipeline.run import RunResult, track_recording
 from sightline.pipeline.track import TrackSettings
@@ -57,7 +57,7 @@ def undrawn_run(undrawn: Scene) -> RunResult:
     return run(undrawn, model="camera", detector="motion")
 
 
-def of_one(scene: Scene, name: str, model: str, without: str | None) -> Placed:
+def of_one(scene: Scene, name: str, model: str, without: str | None) -> LocatedRecording:
     """The boxes of a recording, as they are placed by a model fitted to the scene without one."""
     fitted = fit(scene if without is None else scene.without([without]), model)
     (placed,) = place_boxes(scene.select([name]), lambda _: fitted)

@@ -196,6 +196,10 @@ POINT = "[[control_points]]\npixel_px = [1, 2]\nlatitude_deg = 1\nlongitude_deg 
         (POINT + "height = 1\n", r"unknown key control_points\[1\]\.height; known are pixel_px"),
         ("[camera]\nlatitude_deg = 91\nlongitude_deg = 0\n", r"camera\.latitude_deg: .*; it is 91"),
         ("[camera]\nlatitude_deg = 1\n", "camera: give both latitude_deg and longitude_deg, or"),
+        (
+            '[camera]\ncompensate_rotation = "no"\n',
+            r"camera\.compensate_rotation: input should be a valid boolean",
+        ),
         ('[camera]\nwatched = "no"\n', r"camera\.watched: input should be a valid boolean"),
         ("[camera]\nimage_size_px = [1280]\n", r"camera\.image_size_px: list should have at leas"),
         ("[camera]\nimage_size_px = [1280, 0]\n", r"camera\.image_size_px\[2\]: .* greater than 0"),

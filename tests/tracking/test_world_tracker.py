@@ -266,6 +266,18 @@ def test_a_damaged_state_is_refused_and_changes_nothing(spoil: Callable[[dict], 
     assert tracker.state() == before
 
 
+def test_a_state_without_targets_is_taken_up() -> None:
+    tracker = ImageTracker()
+    run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
+    tracker.restore(ImageTracker().state())
+    assert len(tracker) == 0
+    # Ids begin anew, and so does time.
+    out = run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
+    assert ids_of(out, 0) == {1}
+    with pytest.raises(InputError, match="do not fit together"):
+        tracker.restore({**ImageTracker().state(), "next_id": 0})
+
+
 def test_a_state_of_another_plane_is_refused() -> None:
     tracker = ImageTracker()
     run(tracker, np.arange(0.0, 2.0, 0.1), [lambda t: (4.0 * t, 100.0)])
@@ -286,9 +298,10 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
     from sightline.tracking.assignment import assign
 
     rng = np.random.default_rng(0)
-    for _ in range(40):
-        n, m = rng.integers(1, 12, 2)
-        possible = rng.random((n, m)) < 0.3
+    short = 0
+    for _ in range(200):
+        n, m = rng.integers(1, 16, 2)
+        possible = rng.random((n, m)) < rng.uniform(0.05, 0.35)
         cost = rng.random((n, m))
         i, j = np.nonzero(possible)
         rows, columns = assign(i, j, cost[i, j], (n, m))
@@ -300,6 +313,10 @@ def test_the_assignment_is_that_of_the_whole_table() -> None:
         taken = possible[best]
         assert rows.size == int(taken.sum())
         assert cost[rows, columns].sum() == pytest.approx(table[best][taken].sum(), abs=1e-9)
+        linked = possible.any(axis=1).sum(), possible.any(axis=0).sum()
+        short += rows.size < min(linked)
+    # Of some that could have a box, none was left.
+    assert short > 10
 
 
 def of_platform(boxes: Boxes, platform: Platform, plane: LocalPlane) -> Positions:

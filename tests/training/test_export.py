@@ -20,7 +20,7 @@ from sightline.detection.classes import COCO
 from sightline.detection.decoders import Outputs, decoder_by_name
 from sightline.detection.metadata import KEY, read_metadata
 from sightline.detection.onnx import DetectorOptions, OnnxDetector
-from sightline.detection.tiling import ViewSettings
+from sightline.detection.tiling import TilingSettings
 from sightline.errors import InputError
 from sightline.training import Trainable, build
 from sightline.training.architecture import InputFormat
@@ -107,7 +107,7 @@ def test_a_file_finds_what_the_network_finds(
         assert apart.min() < 1e-3 * max(1.0, float(box.abs().max()))
 
     # The detector that runs files takes this one, and finds something in the whole frame.
-    detector = OnnxDetector(path, options=DetectorOptions(views=ViewSettings(kind="whole")))
+    detector = OnnxDetector(path, options=DetectorOptions(views=TilingSettings(kind="whole")))
     assert detector.decoder == said.decoder
     assert len(detector.detect(Frame(0, 0.0, picture[..., ::-1].copy())).xyxy_px) > 0
 

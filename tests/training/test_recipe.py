@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from sightline.cli.detector.train import train
-from sightline.detection import DetectorOptions, OnnxDetector, ViewSettings
+from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings
 from sightline.errors import InputError
 from sightline.scene import Scene
 from sightline.training import build
@@ -64,7 +64,7 @@ def test_the_file_finds_what_the_network_finds(scene: Scene, tmp_path: Path) -> 
     expected = trainable.predict(torch.from_numpy(rgb)[None].float() / 255.0, 0.02)[0]
     assert len(expected.scores) > 0
     options = DetectorOptions(
-        threshold=0.02, overlap=0.5, views=ViewSettings(kind="tiles"), threads=1
+        threshold=0.02, overlap=0.5, views=TilingSettings(kind="tiles"), threads=1
     )
     detector = OnnxDetector(tmp_path / "harbour.onnx", options=options)
     found = detector.detect(Frame(index=0, time_utc_s=0.0, image_bgr=frame.image_bgr))

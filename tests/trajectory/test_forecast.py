@@ -115,12 +115,12 @@ def simulated(
         for q, noise in zip(motion.accelerations_m2ps3, noises, strict=True)
     ]
     state = np.array([rng.uniform(-60, 60), rng.uniform(80, 200), *rng.normal(0.0, 2.0, 2)])
-    manner = rng.choice(motion.shares.size, p=motion.shares)
+    mode = rng.choice(motion.shares.size, p=motion.shares)
     out = [state]
     for _ in range(int(seconds / step_s)):
         if rng.random() > np.exp(-step_s / motion.manner_s):
-            manner = rng.choice(motion.shares.size, p=motion.shares)
-        state = moves[manner] @ state + roots[manner] @ rng.standard_normal(4)
+            mode = rng.choice(motion.shares.size, p=motion.shares)
+        state = moves[mode] @ state + roots[mode] @ rng.standard_normal(4)
         out.append(state)
     return np.array(out)
 
@@ -259,17 +259,18 @@ def test_the_uncertainty_of_an_approach_is_that_of_draws() -> None:
 
 
 def test_a_track_alone_can_be_forecast() -> None:
-    rng = np.random.default_rng(2)
-    one = np.diag([4.0, 1.0])
+    # By its last point: the one before was faster, and less sure.
+    less = np.array([9.0, 1.0])[:, None, None]
     track = Track(
-        7, np.array([0.0, 1.0]), np.array([0.0, 3.0]), np.array([90.0, 90.0]), np.full(2, 3.0),
-        rng.normal(0.0, 1e-9, 2), np.tile(one, (2, 1, 1)), np.tile(0.25 * np.eye(2), (2, 1, 1)),
-        np.zeros(2, dtype=np.int8), PLANE, "ferry",
+        7, np.array([0.0, 1.0]), np.array([0.0, 3.0]), np.array([70.0, 90.0]),
+        np.array([9.0, 3.0]), np.array([5.0, 0.0]), less * np.diag([4.0, 1.0]),
+        less * 0.25 * np.eye(2), np.zeros(2, dtype=np.int8), PLANE, "ferry",
     )  # fmt: skip
     state = MotionState.of_track(track, STRAIGHT)
     forecast = state.forecast([10.0], track_id=track.track_id, label=track.label)
     assert (forecast.track_id, forecast.label, forecast.time_utc_s[0]) == (7, "ferry", 11.0)
     assert forecast.east_m[0] == pytest.approx(33.0, rel=0.02)
+    assert forecast.north_m[0] == pytest.approx(90.0, rel=0.02)
     # Var p + 2 t cov + t² var v, with the correlation of a steady state.
     expected = 4.0 + 2.0 * 10.0 * np.sqrt(0.5) * 2.0 * 0.5 + 100.0 * 0.25
     grown = STRAIGHT.straight_m2ps3 * 1000.0 / 3.0
@@ -329,7 +330,7 @@ def test_ellipses_from_a_vessel_hold_for_targets_that_go_straight() -> None:
         platform = Platform(Fixes(times, *PLANE.to_geographic(*(way + off).T)))
         pose = platform.pose(times, PLANE, until_then=True)
         seen = target - way + pose.en_m + 0.5 * rng.standard_normal(way.shape)
-        followed = follow(times, positions(seen, 0.5), STEADY, eye_m=pose.en_m)
+        followed = follow(times, positions(seen, 0.5), STEADY, camera_position_m=pose.en_m)
         states = followed.carried(pose.covariance)[40::10]
         mean, covariance = states.ahead(60.0).moments()
         true = target[40::10] + 60.0 * (target[1] - target[0])

@@ -27,14 +27,18 @@ def _nodes(seed: int, n: int) -> chain.Nodes:
         axes=axes.reshape(n, 2, 2),
         root_m=root,
         count=rng.integers(1, 6, n).astype(float),
-        agility=rng.uniform(0.1, 5.0, n + 1),
+        process_noise_scale=rng.uniform(0.1, 5.0, n + 1),
     )
 
 
 def _parameters(**changes: Any) -> chain.Parameters:
     return replace(
         chain.Parameters(
-            q_m2ps3=0.3, tau_s=0.9, white=(0.6, 0.8), lasting=(0.5, 0.3), speed_mps=10.0
+            q_m2ps3=0.3,
+            correlation_time_s=0.9,
+            white=(0.6, 0.8),
+            correlated=(0.5, 0.3),
+            speed_mps=10.0,
         ),
         **changes,
     )
@@ -50,7 +54,7 @@ def _batch(
     """Least squares over all states at once: one row a measurement, a step, a prior."""
     times = np.sort(np.concatenate([nodes.time_s, extra_s]))
     size = times.size
-    tau = p.tau_s
+    tau = p.correlation_time_s
     rows, values = [], []
 
     def add(blocks: dict[int, FloatArray], value: FloatArray, root: FloatArray) -> None:
@@ -70,15 +74,15 @@ def _batch(
         step[4, 4] = step[5, 5] = np.exp(-dt / tau)
         noise = np.zeros((6, 6))
         part = np.searchsorted(nodes.time_s, 0.5 * (times[k] + times[k + 1]))
-        q = p.q_m2ps3 * nodes.agility[part]
+        q = p.q_m2ps3 * nodes.process_noise_scale[part]
         for i in (0, 1):
             noise[i, i], noise[i + 2, i + 2] = q * dt**3 / 3.0, q * dt
             noise[i, i + 2] = noise[i + 2, i] = q * dt**2 / 2.0
             noise[i + 4, i + 4] = 1.0 - np.exp(-2.0 * dt / tau)
         add({k: -step, k + 1: np.eye(6)}, np.zeros(6), np.linalg.cholesky(noise))
     for k, time in enumerate(nodes.time_s):
-        lasting = np.diag(p.lasting) @ nodes.root_m[k]
-        sees = np.hstack([nodes.axes[k], np.zeros((2, 2)), lasting])
+        correlated = np.diag(p.correlated) @ nodes.root_m[k]
+        sees = np.hstack([nodes.axes[k], np.zeros((2, 2)), correlated])
         add(
             {int(np.searchsorted(times, time)): sees},
             nodes.measured_m[k],
@@ -144,14 +148,14 @@ def _log_density(nodes: chain.Nodes, p: chain.Parameters) -> float:
     n = nodes.time_s.size
     since = nodes.time_s - nodes.time_s[0]
     early, late = np.minimum.outer(since, since), np.maximum.outer(since, since)
-    q, tau = p.q_m2ps3, p.tau_s
+    q, tau = p.q_m2ps3, p.correlation_time_s
     motion = q * (early**2 * late / 2.0 - early**3 / 6.0)
     motion += p.speed_mps**2 * np.outer(since, since) + 1.0 / chain.POSITION_PRECISION
     total = np.zeros((2 * n, 2 * n))
     for a in range(n):
         for b in range(n):
             kept = np.exp(-abs(since[a] - since[b]) / tau)
-            roots = [np.diag(p.lasting) @ nodes.root_m[k] for k in (a, b)]
+            roots = [np.diag(p.correlated) @ nodes.root_m[k] for k in (a, b)]
             block = motion[a, b] * nodes.axes[a] @ nodes.axes[b].T + kept * roots[0] @ roots[1].T
             total[2 * a : 2 * a + 2, 2 * b : 2 * b + 2] = block
         root = _white_root(nodes, p, a)
@@ -164,13 +168,13 @@ def test_likelihood_ratios_are_those_of_the_normal_density(
 ) -> None:
     # The dense covariance cannot hold a position of 1e6 m beside metres in double precision.
     monkeypatch.setattr(chain, "POSITION_PRECISION", 1e-4)
-    nodes = replace(_nodes(6, 10), agility=np.ones(11))
+    nodes = replace(_nodes(6, 10), process_noise_scale=np.ones(11))
     variants = [
         _parameters(),
         _parameters(q_m2ps3=2.0),
-        _parameters(tau_s=3.0),
+        _parameters(correlation_time_s=3.0),
         _parameters(white=(1.4, 0.2)),
-        _parameters(lasting=(0.1, 2.0)),
+        _parameters(correlated=(0.1, 2.0)),
     ]
     expected = np.array([-2.0 * _log_density(nodes, p) for p in variants])
     got = np.array([chain.minus_two_log_likelihood(nodes, p)[0] for p in variants])
@@ -185,7 +189,7 @@ def test_gradient_of_the_likelihood_is_its_slope(q_m2ps3: float, n: int) -> None
 
     def value(at: FloatArray) -> tuple[float, FloatArray]:
         q, tau, *shares = np.exp(at).tolist()
-        p = _parameters(q_m2ps3=q, tau_s=tau, white=shares[:2], lasting=shares[2:])
+        p = _parameters(q_m2ps3=q, correlation_time_s=tau, white=shares[:2], correlated=shares[2:])
         return chain.minus_two_log_likelihood(nodes, p)
 
     step = 1e-4 * np.eye(6)
@@ -196,7 +200,7 @@ def test_gradient_of_the_likelihood_is_its_slope(q_m2ps3: float, n: int) -> None
 @pytest.mark.parametrize("q_m2ps3", [0.02, 0.3, 5.0])
 def test_energy_and_draws_are_the_slope_of_the_likelihood(q_m2ps3: float) -> None:
     """By Fisher's identity: d(-2 log L) / d log q is the draws less the energy over q."""
-    nodes = replace(_nodes(7, 15), agility=np.ones(16))
+    nodes = replace(_nodes(7, 15), process_noise_scale=np.ones(16))
     step = 1e-4
     up, down = (
         chain.minus_two_log_likelihood(nodes, _parameters(q_m2ps3=q_m2ps3 * np.exp(sign * step)))[0]

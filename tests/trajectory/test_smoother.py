@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sightline.trajectory.sight import NoiseAtRange
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.trajectory import METHODS, NoiseModel, PaperChain, RtsSmoother, method, smoother
 from sightline.trajectory.base import measurements
+from sightline.trajectory.range_noise import NoiseAtRange
 from sightline.types import BoolArray, FloatArray, PointKind, Positions
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -294,12 +294,12 @@ def test_bad_input(name: str) -> None:
 
 def test_it_learns_whether_noise_lasts() -> None:
     white = RtsSmoother().smooth(scene(3).time_utc_s, scene(3).positions).noise
-    boat = scene(3, tau_s=1.0)
-    lasting = RtsSmoother().smooth(boat.time_utc_s, boat.positions).noise
+    boat = scene(3, correlation_time_s=1.0)
+    correlated = RtsSmoother().smooth(boat.time_utc_s, boat.positions).noise
     assert white.white_along == pytest.approx(1.0, abs=0.15)
     assert white.lasting_along < 0.2
-    assert lasting.white_along < 0.3
-    assert lasting.lasting_along == pytest.approx(1.0, abs=0.3)
+    assert correlated.white_along < 0.3
+    assert correlated.lasting_along == pytest.approx(1.0, abs=0.3)
 
 
 def test_it_is_still_on_straights_and_quick_in_turns() -> None:
@@ -342,10 +342,10 @@ def test_common_part_stays_whatever_the_number_of_boxes() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("tau_s", "largest_ratio"), [(0.0, 0.65), (1.0, 0.55)], ids=["white", "lasting"]
+    ("correlation_time_s", "largest_ratio"), [(0.0, 0.65), (1.0, 0.55)], ids=["white", "correlated"]
 )
-def test_better_than_the_paper_and_honest(tau_s: float, largest_ratio: float) -> None:
-    boats = [scene(seed, tau_s=tau_s) for seed in range(24)]
+def test_better_than_the_paper_and_honest(correlation_time_s: float, largest_ratio: float) -> None:
+    boats = [scene(seed, correlation_time_s=correlation_time_s) for seed in range(24)]
     ours = np.array([_error(boat, RtsSmoother()) for boat in boats])
     paper = np.array([_error(boat, PaperChain()) for boat in boats])
     assert (ours[:, 0] / paper[:, 0]).mean() <= largest_ratio

@@ -1,4 +1,4 @@
-"""Whose log it is: boxes of anything and logs in, boxes with a vessel's place out."""
+"""Association of boxes with logged vessels, for a fit without drawn boxes."""
 
 from sightline.association.associate import Association, Found, associate
 

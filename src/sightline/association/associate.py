@@ -1,4 +1,4 @@
-"""Whose log is it: which of what is seen is which logged vessel, without any box drawn by hand."""
+"""Association of detections with logged vessels, without any box drawn by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline.association.evidence import Match, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
-from sightline.association.search import Candidate, Watch, candidates
+from sightline.association.search import Candidate, RecordingObservations, candidates
 from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.errors import FitError
@@ -43,8 +43,8 @@ class Found:
     Attributes:
         recording: Name of the recording.
         vessel: Name of the log; an MMSI where it is of an AIS feed.
-        gain: How much the log foretells of what is seen, in nats.
-        rows: (K,) observations of the recording that taught, in the order of time.
+        log_likelihood_ratio: Of what is seen given the log, in nats.
+        rows: (K,) observations of the recording that were matched, in the order of time.
         taken: (M,) bool, which boxes of the recording are the vessel's.
         first_utc_s: When it is first seen, by the camera's clock.
         last_utc_s: When it is last seen.
@@ -52,7 +52,7 @@ class Found:
 
     recording: str
     vessel: str
-    gain: float
+    log_likelihood_ratio: float
     rows: IntArray
     taken: BoolArray
     first_utc_s: float
@@ -61,22 +61,22 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """Who is who, and how sure that is.
+    """Detections associated with logged vessels, and the evidence for it.
 
     Attributes:
         watches: The recordings.
         camera: That explains all of them.
         found: The vessels, by recording.
-        offset_s: By recording, what is to be added to its times to agree with the log.
-        offset_sigma_s: By recording, how sure that is.
-        evidence: By how much this explanation is likelier than that no logged vessel is in view,
-            in nats.
+        offset_s: By recording, the clock offset: to be added to its times to agree with the log.
+        offset_sigma_s: By recording, its standard deviation.
+        evidence: Log-likelihood ratio of this explanation against no logged vessel in view, in
+            nats.
         runner_up: The same of the next best explanation that says something else; minus infinity
             where there is none.
         statements: Sentences for people.
     """
 
-    watches: tuple[Watch, ...]
+    watches: tuple[RecordingObservations, ...]
     camera: Camera
     found: tuple[Found, ...]
     offset_s: Mapping[str, float]
@@ -94,18 +94,18 @@ class _Judged:
 
 
 def associate(
-    watches: Sequence[Watch],
+    watches: Sequence[RecordingObservations],
     image_size_px: tuple[int, int],
     *,
     largest_offset_s: float = LARGEST_OFFSET_S,
 ) -> Association:
-    """Find the logged vessels among what is seen.
+    """Associate detections with logged vessels.
 
     Args:
-        watches: The recordings of one camera that stands still, at the origin of the logs' plane
-            within some metres.
+        watches: The recordings of one static camera, at the origin of the logs' plane within some
+            metres.
         image_size_px: Width and height.
-        largest_offset_s: How far the clocks may be off.
+        largest_offset_s: Largest clock offset.
 
     Raises:
         FitError: What is seen cannot be told from something without a log, or two explanations
@@ -126,8 +126,10 @@ def associate(
     judged.sort(key=lambda one: -one.evidence)
     if judged[0].matches:
         other = refiner.at_another_clock(judged[0].explanation, _SAME_OFFSET_S)
-        if other is not None:
-            judged.append(_judge(refiner, other, image_size_px, largest_offset_s))
+        rival = None if other is None else _judge(refiner, other, image_size_px, largest_offset_s)
+        # One that ends where the best has ended is the same explanation.
+        if rival is not None and _differ(judged[0], rival):
+            judged.append(rival)
             judged.sort(key=lambda one: -one.evidence)
     best = judged[0]
     if not best.matches or best.evidence < LEAST_EVIDENCE:
@@ -153,16 +155,16 @@ def associate(
 def _judge(
     refiner: Refiner, start: Candidate, image_size_px: tuple[int, int], largest_offset_s: float
 ) -> _Judged:
-    """The explanation that a candidate leads to, with what it explains and what it costs."""
+    """Refine a candidate, and weigh its evidence against its cost."""
     explanation = refiner.refine(start)
     found = matches(refiner.watches, explanation, image_size_px)
-    evidence = sum(match.gain for match in found)
+    evidence = sum(match.log_likelihood_ratio for match in found)
     evidence -= cost(explanation, largest_offset_s, image_size_px)
     return _also(refiner, _Judged(explanation, found, evidence), image_size_px)
 
 
 def _also(refiner: Refiner, one: _Judged, image_size_px: tuple[int, int]) -> _Judged:
-    """The explanation with the vessels that it misses because of their size.
+    """Add the vessels that an explanation misses because of their size.
 
     A long hull ends far nearer to the camera than where its receiver is. While nothing was known,
     room for that would have let in others; with the camera known it does not. Such a vessel counts
@@ -188,7 +190,7 @@ def _also(refiner: Refiner, one: _Judged, image_size_px: tuple[int, int]) -> _Ju
         if any(np.isin(match.rows, other.rows).any() for other in here):
             continue
         kept.append(match)
-        evidence += match.gain - float(np.log(2.0))
+        evidence += match.log_likelihood_ratio - float(np.log(2.0))
         index = match.recording
         standard[index][match.vessel] = wider.standard[index][match.vessel]
     return _Judged(replace(known, standard=tuple(standard)), kept, evidence)
@@ -200,7 +202,7 @@ def _offset(one: _Judged) -> float:
 
 
 def _differ(one: _Judged, other: _Judged) -> bool:
-    """Whether two explanations say something else of the vessels, the clock or the camera."""
+    """Whether two explanations differ in the vessels, the clock or the camera."""
     mine = {(m.recording, m.vessel) for m in one.matches}
     theirs = {(m.recording, m.vessel) for m in other.matches}
     turn = np.degrees(one.explanation.vector[HEADING] - other.explanation.vector[HEADING])
@@ -214,7 +216,7 @@ def _differ(one: _Judged, other: _Judged) -> bool:
 
 
 def _summary(
-    watches: tuple[Watch, ...],
+    watches: tuple[RecordingObservations, ...],
     image_size_px: tuple[int, int],
     best: _Judged,
     runner_up: float,
@@ -240,7 +242,7 @@ def _summary(
             Found(
                 recording=watch.name,
                 vessel=watch.paths[match.vessel].name,
-                gain=match.gain,
+                log_likelihood_ratio=match.log_likelihood_ratio,
                 rows=match.rows,
                 taken=taken,
                 first_utc_s=float(times.min()),
@@ -280,9 +282,13 @@ def _summary(
 
 
 def _taken(
-    watch: Watch, standard: FloatArray, predicted: FloatArray, match: Match, others: IntArray
+    watch: RecordingObservations,
+    standard: FloatArray,
+    predicted: FloatArray,
+    match: Match,
+    others: IntArray,
 ) -> BoolArray:
-    """(M,) which boxes are the vessel's: near its place, or of its tracks in gaps of the log."""
+    """(M,) whether a box is the vessel's: near its place, or of its tracks in gaps of the log."""
     seen = watch.seen
     near = standard < _GATE
     near[others] = False

@@ -1,4 +1,4 @@
-"""How much an explanation explains: whether what is seen are the logged vessels, or only things.
+"""Evidence of an explanation: log-likelihood ratio of logged vessels against clutter.
 
 An explanation competes with two others: that what it takes for a logged vessel is clutter, and that
 it is a vessel without a log, which goes wherever it likes. Against the second it wins by what the
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import legendre
 
-from sightline.association.observations import Observations
+from sightline.association.observations import TrackObservations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
-from sightline.association.search import Watch, clutter_per_px2
+from sightline.association.search import RecordingObservations, clutter_per_px2
 from sightline.camera.parameters import HEADING
 from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
@@ -28,8 +28,8 @@ from sightline.types import FloatArray, IntArray
 SURE = 0.5
 """An observation is a vessel's where that is likelier than not."""
 
-LEAST_GAIN = 4.0
-"""A track is a vessel's where the log foretells so much of it, in nats."""
+LEAST_LOG_LIKELIHOOD_RATIO = 4.0
+"""Least log-likelihood ratio of a match, in nats."""
 
 _LEAST_SHARE = 0.5
 _BEND_S = 6.0
@@ -40,23 +40,25 @@ _FLOOR_PX = np.array([4.0, 3.0])
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """What is seen of a logged vessel in a recording.
+    """Observations matched to a logged vessel in a recording.
 
     Attributes:
         recording: Index of the recording.
         vessel: Index of the log in the recording.
         rows: (K,) its observations, in the order of time.
-        gain: How much the log foretells of it, in nats; the choice of the vessel is paid.
+        log_likelihood_ratio: Of the path given the log, in nats, less the choice of the vessel.
     """
 
     recording: int
     vessel: int
     rows: IntArray
-    gain: float
+    log_likelihood_ratio: float
 
 
-def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, int]) -> list[Match]:
-    """What an explanation takes for the vessels, the surest first in each recording."""
+def matches(
+    watches: Sequence[RecordingObservations], found: Explanation, size_px: tuple[int, int]
+) -> list[Match]:
+    """Matches of observations to vessels under an explanation, by recording, the surest first."""
     out: list[Match] = []
     for index, watch in enumerate(watches):
         if not len(watch.seen) or not watch.paths:
@@ -68,16 +70,16 @@ def matches(watches: Sequence[Watch], found: Explanation, size_px: tuple[int, in
             rows = _rows(watch.seen, share[vessel], predicted[vessel])
             if rows.size < 3:
                 continue
-            gain = _gain(watch.seen, rows, predicted[vessel], density, found)
-            gain -= float(np.log(len(watch.paths)))
-            if gain > LEAST_GAIN:
-                mine.append(Match(index, vessel, rows, gain))
+            ratio = _log_likelihood_ratio(watch.seen, rows, predicted[vessel], density, found)
+            ratio -= float(np.log(len(watch.paths)))
+            if ratio > LEAST_LOG_LIKELIHOOD_RATIO:
+                mine.append(Match(index, vessel, rows, ratio))
         out.extend(_apart(mine))
     return out
 
 
-def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntArray:
-    """The observations of the vessel, in the order of time: of tracks that are mostly its own."""
+def _rows(seen: TrackObservations, share: FloatArray, predicted: FloatArray) -> IntArray:
+    """Observations of the vessel, in the order of time: of tracks that are mostly its own."""
     mine = share > SURE
     if seen.followed:
         foretold = np.isfinite(predicted[:, 0])
@@ -88,14 +90,14 @@ def _rows(seen: Observations, share: FloatArray, predicted: FloatArray) -> IntAr
     return np.asarray(rows[np.argsort(seen.time_utc_s[rows], kind="stable")])
 
 
-def _gain(
-    seen: Observations,
+def _log_likelihood_ratio(
+    seen: TrackObservations,
     rows: IntArray,
     predicted: FloatArray,
     density: FloatArray,
     found: Explanation,
 ) -> float:
-    """How much better a log foretells a path than a vessel without a log would, in nats."""
+    """Log-likelihood ratio of a path given a log, against a vessel without one, in nats."""
     apart = max(_APART_S, 4.0 * seen.interval_s)
     cuts = np.flatnonzero(np.diff(seen.time_utc_s[rows]) > apart) + 1
     noise = np.maximum([found.noise.column_px, found.noise.row_px], _FLOOR_PX)
@@ -109,7 +111,7 @@ def _gain(
             typical = float(np.median(density[part]))
             total -= float(np.log(2.0 * np.pi * typical * (np.abs(rest[0]) + noise).prod()))
         else:
-            # What went out of sight comes back where it went: little to foretell.
+            # What went out of sight comes back where it went: little to predict.
             total += float(
                 np.log((np.abs(whole[0] - last) + noise) / (np.abs(rest[0]) + noise)).sum()
             )
@@ -117,8 +119,8 @@ def _gain(
     return total
 
 
-def goes_along(seen: Observations, rows: IntArray, predicted: FloatArray) -> bool:
-    """Whether a track moves as a log foretells, rather than standing where it passes."""
+def goes_along(seen: TrackObservations, rows: IntArray, predicted: FloatArray) -> bool:
+    """Whether a track follows the motion of a log, rather than being static where it passes."""
     rows = rows[np.argsort(seen.time_utc_s[rows], kind="stable")]
     whole = _coefficients(seen.time_utc_s[rows], seen.foot_px[rows])[1:]
     rest = _coefficients(seen.time_utc_s[rows], seen.foot_px[rows] - predicted[rows])[1:]
@@ -127,7 +129,7 @@ def goes_along(seen: Observations, rows: IntArray, predicted: FloatArray) -> boo
 
 
 def _coefficients(time_s: FloatArray, path_px: FloatArray) -> FloatArray:
-    """(K, 2) of the Legendre polynomials of a path; each in pixels of root mean square."""
+    """(K, 2) Legendre coefficients of a path; each in pixels of root mean square."""
     span = float(np.ptp(time_s))
     degree = int(max(min(np.ceil(span / _BEND_S) + 1, len(time_s) // 3, _MOST_BENDS), 0))
     where = 2.0 * (time_s - time_s[0]) / max(span, 1e-6) - 1.0
@@ -139,24 +141,24 @@ def _coefficients(time_s: FloatArray, path_px: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(basis.T @ basis + rough, basis.T @ path_px))
 
 
-def _density(seen: Observations, size_px: tuple[int, int]) -> FloatArray:
-    """(N,) how likely a box lies where each does, a square pixel."""
+def _density(seen: TrackObservations, size_px: tuple[int, int]) -> FloatArray:
+    """(N,) probability density of boxes at each box, per square pixel."""
     clutter = clutter_per_px2(seen, size_px)
     moments = max(1.0, np.ptp(seen.time_utc_s) / seen.interval_s)
     return np.asarray(clutter * moments / (1.2 * len(seen)))
 
 
 def _apart(found: list[Match]) -> list[Match]:
-    """Matches of which no two have much in common; the surer one stays."""
+    """Matches with at most a small overlap in observations; the surer one stays."""
     kept: list[Match] = []
-    for match in sorted(found, key=lambda one: -one.gain):
+    for match in sorted(found, key=lambda one: -one.log_likelihood_ratio):
         if all(np.isin(match.rows, other.rows).mean() < 0.2 for other in kept):
             kept.append(match)
     return kept
 
 
 def cost(found: Explanation, largest_offset_s: float, image_size_px: tuple[int, int]) -> float:
-    """What the parameters of an explanation cost: how finely they had to be chosen, in nats."""
+    """Occam factor of the parameters of an explanation, in nats."""
     mean, sigma = CameraPrior(k1_sigma=0.2).moments(image_size_px, 0, 0, position_known=True)
     camera = found.vector.size
     offsets = found.offset_s.size

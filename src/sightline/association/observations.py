@@ -1,4 +1,4 @@
-"""What is seen in a recording: feet of boxes, thinned to what tells something new."""
+"""Track observations of a recording: foot points of boxes, thinned to independent ones."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sightline.tracking import ImageTracker
 from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray
 
 BIN_S = 0.5
-"""Boxes of one track within this time count as one: a detector's errors last as long."""
+"""Boxes of one track within this time count as one: a detector's errors are correlated as long."""
 
 SPLIT_S = 3.0
 """A track that was not seen for longer is taken apart; its ids may not be of the same thing."""
@@ -19,8 +19,8 @@ _FOLLOWABLE_S = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
-    """Feet of boxes, one row a track and half second.
+class TrackObservations:
+    """Foot points of boxes, one row a track and half second.
 
     Attributes:
         time_utc_s: (N,) float64, increasing within a track.
@@ -48,8 +48,8 @@ class Observations:
         return int(self.time_utc_s.size)
 
 
-def observe(boxes: Boxes) -> Observations:
-    """Thin the boxes of a recording.
+def observe(boxes: Boxes) -> TrackObservations:
+    """Thin the boxes of a recording to observations.
 
     Boxes without track ids are followed in the image where they come often enough; where they do
     not, each stands alone.
@@ -87,7 +87,7 @@ def observe(boxes: Boxes) -> Observations:
         )
         box[i] = rows[np.argmin(off)]
         time_s[i] = np.mean(boxes.time_utc_s[rows])
-    return Observations(
+    return TrackObservations(
         time_utc_s=time_s,
         foot_px=middle,
         size_px=extent,
@@ -101,7 +101,7 @@ def observe(boxes: Boxes) -> Observations:
 
 
 def _followed(boxes: Boxes) -> Boxes:
-    """Boxes with the ids that a tracker gives them; those of no track are left out."""
+    """Boxes with the track ids that a tracker assigns; those of no track are left out."""
     tracker = ImageTracker()
     cuts = np.flatnonzero(np.diff(boxes.time_utc_s) > 0.0) + 1
     parts = np.split(np.arange(len(boxes)), cuts)
@@ -109,7 +109,7 @@ def _followed(boxes: Boxes) -> Boxes:
 
 
 def _tracks(boxes: Boxes) -> IntArray:
-    """(M,) numbers of tracks: as the boxes tell, taken apart where one was not seen for long."""
+    """(M,) track numbers: as the boxes have them, split where a track was not seen for long."""
     out = np.full(len(boxes), -1, dtype=np.int64)
     count = 0
     for key in np.unique(boxes.track_id):

@@ -1,4 +1,4 @@
-"""From a rough camera to who is who: camera, clocks and association refined in turn.
+"""Refinement of a rough camera: camera, clocks and association by expectation-maximisation.
 
 Expectation and maximisation (Dempster et al. 1977): which observations lie where a log says that
 its vessel must be seen, given the camera; then the camera and the clocks that put the logs onto
@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sightline.association.search import Candidate, Watch, clutter_per_px2, offset_step_s
+from sightline.association.search import (
+    Candidate,
+    RecordingObservations,
+    clutter_per_px2,
+    offset_step_s,
+)
 from sightline.camera.parameters import (
     CAMERA,
     EAST,
@@ -46,7 +51,7 @@ _ROUNDS = 10
 _MARGIN = 0.25
 _LARGEST_PX = 60.0
 # Boxes of one track are alike in error for about this long.
-ALIKE_S = 2.0
+CORRELATION_TIME_S = 2.0
 
 _LONGEST_STEP = camera_vector(
     {
@@ -65,7 +70,7 @@ _LONGEST_STEP = camera_vector(
 
 @dataclass(frozen=True)
 class FootNoise:
-    """Standard deviations of a foot about where its log says that it is.
+    """Standard deviations of a foot point about the place that its log states.
 
     Attributes:
         column_px: Of the column, pixels.
@@ -82,14 +87,14 @@ class FootNoise:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A camera with its clocks, and what it makes of what is seen.
+    """A camera with its clock offsets, and the association that follows from them.
 
     Attributes:
         vector: (9,) camera.
         offset_s: (R,) of each recording: added to its times they agree with the logs.
         noise: Of a foot.
-        score: The logarithm of how much likelier the observations are than as clutter alone.
-        share: Per recording (V, N) float64, how surely each observation is each vessel.
+        score: Log-likelihood ratio of the observations against clutter alone.
+        share: Per recording (V, N) float64, probability that each observation is of each vessel.
         standard: Per recording (V, N) float64, distance from the predicted foot in standard
             deviations; infinite where the log or the camera says nothing.
         predicted_px: Per recording (V, N, 2) float64.
@@ -108,7 +113,7 @@ class Explanation:
 
 @dataclass(frozen=True, eq=False)
 class _Predicted:
-    """Where the logs say that feet are, for one recording; rows are (vessel, observation)."""
+    """Predicted foot points of one recording by its logs; rows are (vessel, observation)."""
 
     vessel: IntArray
     row: IntArray
@@ -119,11 +124,11 @@ class _Predicted:
 
 
 class Refiner:
-    """Refines candidates on the same recordings."""
+    """Refines candidates on the same recordings by expectation-maximisation."""
 
     def __init__(
         self,
-        watches: Sequence[Watch],
+        watches: Sequence[RecordingObservations],
         image_size_px: tuple[int, int],
         *,
         largest_offset_s: float,
@@ -145,7 +150,7 @@ class Refiner:
         self._clutter = [clutter_per_px2(watch.seen, image_size_px) for watch in watches]
 
     def refine(self, start: Candidate, noise: FootNoise | None = None) -> Explanation:
-        """The explanation that a candidate leads to."""
+        """Refine a candidate to an explanation."""
         state = np.concatenate([start.vector, start.offset_s])
         if len(self.watches) > 1:
             self._mean[_CLOCKS] = start.offset_s
@@ -159,7 +164,7 @@ class Refiner:
         return self._alike(self.explain(state, noise))
 
     def at_another_clock(self, known: Explanation, apart_s: float) -> Candidate | None:
-        """The camera of an explanation at the next best clock, None where there is none.
+        """The camera of an explanation at the next best clock offset; None where there is none.
 
         Candidates differ in where they look, and each has but the clock with the most votes. A
         vessel that goes to and fro, or round and round, goes as its log says at more than one.
@@ -190,7 +195,7 @@ class Refiner:
         return Candidate(known.vector, known.offset_s + moved_s[best], float(score[best]))
 
     def _alike(self, found: Explanation) -> Explanation:
-        """With the clocks that stray tried again where the others are; the likelier one stays.
+        """Retry outlying clock offsets at the median of the others; the likelier one stays.
 
         A recording that tells little of its clock may be drawn to something else that is seen,
         while the camera is still rough.
@@ -212,20 +217,20 @@ class Refiner:
         return found
 
     def _likelihood(self, found: Explanation) -> float:
-        """The logarithm of how likely an explanation is, but for a constant."""
+        """Log posterior of an explanation, up to a constant."""
         off = np.concatenate([found.vector, found.offset_s]) - self._mean
         off[HEADING] = 0.0
         return found.score - 0.5 * float(np.sum(self._precision * off**2))
 
     def explain(self, state: FloatArray, noise: FootNoise) -> Explanation:
-        """What a camera and its clocks, (9 + R,), make of what is seen."""
+        """The explanation for a camera and its clock offsets, (9 + R,)."""
         shares, standards, pixels = [], [], []
         score = 0.0
         information = np.diag(self._precision)
         for index, watch in enumerate(self.watches):
             found = self._predict(state, index, noise)
-            share, standard, gain = self._shares(found, index, 1.0)
-            score += gain
+            share, standard, ratio = self._shares(found, index, 1.0)
+            score += ratio
             size = (len(watch.paths), len(watch.seen))
             full, apart = np.zeros(size), np.full(size, np.inf)
             pixel = np.full((*size, 2), np.nan)
@@ -248,7 +253,7 @@ class Refiner:
         )
 
     def _choose(self, state: FloatArray) -> None:
-        """Look only at vessels that the camera, or one turned a little, may have seen."""
+        """Restrict to vessels in the field of view of the camera, with a margin in heading."""
         half = np.arctan(0.5 * self.image_size_px[0] / np.exp(state[LOG_FOCAL])) + _MARGIN
         self._vessels = []
         for index, watch in enumerate(self.watches):
@@ -317,7 +322,7 @@ class Refiner:
     def _shares(
         self, found: _Predicted, index: int, widen: float
     ) -> tuple[FloatArray, FloatArray, float]:
-        """How surely each pair is one, how far apart it lies, and what all pairs are worth."""
+        """Association probabilities and Mahalanobis distances of pairs, and the log-likelihood."""
         seen = self.watches[index].seen
         sigma = found.sigma_px * widen
         standard = (seen.foot_px[found.row] - found.pixel_px) / sigma
@@ -327,9 +332,9 @@ class Refiner:
         total = np.bincount(found.row, ratio, minlength=len(seen))
         share = ratio / (1.0 + total[found.row])
         # Whatever is seen at a moment, a vessel is one of it.
-        weight = min(seen.interval_s / ALIKE_S, 1.0)
-        gain = weight * float(np.sum(np.log1p(total)))
-        return share, np.sqrt(square), gain
+        weight = min(seen.interval_s / CORRELATION_TIME_S, 1.0)
+        ratio = weight * float(np.sum(np.log1p(total)))
+        return share, np.sqrt(square), ratio
 
     def _normal(
         self, found: _Predicted, index: int, share: FloatArray, widen: float = 1.0
@@ -344,7 +349,7 @@ class Refiner:
         jacobian[:, :, _clock(index)] = found.by_offset[rows]
         jacobian /= sigma[rows][:, :, None]
         residual = (seen.foot_px[found.row[rows]] - found.pixel_px[rows]) / sigma[rows]
-        weight = share[rows] * min(seen.interval_s / ALIKE_S, 1.0)
+        weight = share[rows] * min(seen.interval_s / CORRELATION_TIME_S, 1.0)
         flat = (jacobian * weight[:, None, None]).reshape(-1, size)
         return flat.T @ jacobian.reshape(-1, size), flat.T @ residual.reshape(-1)
 
@@ -363,7 +368,7 @@ class Refiner:
         return np.asarray(out)
 
     def _noise(self, state: FloatArray, noise: FootNoise, widen: float) -> FootNoise:
-        """The noise under which the residuals of what is associated are as large as they are."""
+        """Noise re-estimated from the residuals of the associated observations."""
         squares, weights, spreads = [], [], []
         for index, watch in enumerate(self.watches):
             found = self._predict(state, index, noise)

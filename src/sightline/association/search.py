@@ -1,4 +1,4 @@
-"""Which cameras could explain what is seen by what is logged: a vote over a coarse grid.
+"""Search for initial cameras: a Hough vote of observations and logs over a coarse grid.
 
 With the height of the camera, its focal length and the offset of its clock assumed, every foot of a
 box that is taken for a logged vessel says which heading and which pitch the camera has (its column
@@ -16,17 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from sightline.association.observations import Observations
-from sightline.camera.parameters import (
-    HEADING,
-    K1,
-    LOG_FOCAL,
-    LOG_HEIGHT,
-    PITCH,
-    camera_vector,
-)
+from sightline.association.observations import TrackObservations
+from sightline.camera.parameters import HEADING, K1, LOG_FOCAL, LOG_HEIGHT, PITCH, camera_vector
 from sightline.camera.priors import CameraPrior
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import FloatArray, IntArray
 
 HEADING_STEP_DEG = 2.0
@@ -42,7 +35,7 @@ _SHORTEST_S = 3.0
 # How much heading and pitch may vary over a piece that a log explains, at least and at most.
 _TOLERANCE_DEG = np.array([0.4, 0.3])
 _LOOSEST_DEG = np.array([2.5, 1.2])
-# What stands still is explained by anything that stands still.
+# What is static is explained by anything that is static.
 _TOLD_BY_ANY = 1.5
 _CELL_PX = (16.0, 8.0)
 # Two cameras are told apart from here.
@@ -50,8 +43,8 @@ _APART_DEG = (8.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
-    """A recording: what is seen in it, and the logs of whatever may be in view.
+class RecordingObservations:
+    """Observations of one recording, and the logs of whatever may be in view.
 
     Attributes:
         name: Of the recording.
@@ -62,8 +55,8 @@ class Watch:
     """
 
     name: str
-    seen: Observations
-    paths: tuple[LoggedPath, ...]
+    seen: TrackObservations
+    paths: tuple[ReferenceTrajectory, ...]
     above_m: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -73,7 +66,7 @@ class Watch:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A camera to start from.
+    """An initial camera with clock offsets.
 
     Attributes:
         vector: (9,) as in `sightline.camera.parameters.PARAMETERS`.
@@ -87,10 +80,10 @@ class Candidate:
     votes: float
 
 
-def clutter_per_px2(seen: Observations, image_size_px: tuple[int, int]) -> FloatArray:
-    """(N,) how dense boxes lie where each observation lies, boxes a square pixel and moment.
+def clutter_per_px2(seen: TrackObservations, image_size_px: tuple[int, int]) -> FloatArray:
+    """(N,) clutter density at each observation, boxes a square pixel and moment.
 
-    Over the whole recording, so that what stands still counts as clutter that was to be expected.
+    Over the whole recording, so that the static scene counts as clutter that was to be expected.
     """
     width, height = image_size_px
     shape = (int(np.ceil(width / _CELL_PX[0])), int(np.ceil(height / _CELL_PX[1])))
@@ -105,20 +98,20 @@ def clutter_per_px2(seen: Observations, image_size_px: tuple[int, int]) -> Float
     return np.asarray((smooth[at[:, 0], at[:, 1]] + 0.2 * uniform) / moments)
 
 
-def offset_step_s(watches: Sequence[Watch]) -> float:
-    """How finely clocks are tried: more coarsely with a whole feed, whose many vessels vote."""
+def offset_step_s(watches: Sequence[RecordingObservations]) -> float:
+    """Step of the clock offsets tried: coarser with a whole feed, whose many vessels vote."""
     few = max(len(watch.paths) for watch in watches) < 8
     return OFFSET_STEP_S if few else 2.0 * OFFSET_STEP_S
 
 
 def candidates(
-    watches: Sequence[Watch],
+    watches: Sequence[RecordingObservations],
     image_size_px: tuple[int, int],
     *,
     largest_offset_s: float,
     count: int = 24,
 ) -> list[Candidate]:
-    """The cameras with the most votes, the best first, each unlike those before it.
+    """Cameras with the most votes, the best first, each unlike those before it.
 
     Args:
         watches: At least one.
@@ -150,9 +143,9 @@ def candidates(
             total[lens, height][more] = smooth[more]
             which[lens, height][more] = number
     prior = CameraPrior()
-    heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.height_log_sigma) ** 2
+    heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.log_height_sigma) ** 2
     focal = np.array([focal for focal, _ in lenses]) / (prior.focal_widths * image_size_px[0])
-    longs = -0.5 * (np.log(focal) / prior.focal_log_sigma) ** 2
+    longs = -0.5 * (np.log(focal) / prior.log_focal_sigma) ** 2
     total += (longs[:, None, None, None] + heights[None, :, None, None]).astype(np.float32)
     out: list[Candidate] = []
     # Each lens and height has its own peaks; the best are looked at in turn.
@@ -221,7 +214,7 @@ def _vote(
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Short pieces of tracks, rows in the order of the piece.
+    """Short segments of tracks, rows in the order of the segment.
 
     Attributes:
         time_utc_s: (N,) float64.
@@ -238,7 +231,7 @@ class _Pieces:
     spread_deg: FloatArray
 
 
-def _pieces(seen: Observations, image_size_px: tuple[int, int]) -> _Pieces:
+def _pieces(seen: TrackObservations, image_size_px: tuple[int, int]) -> _Pieces:
     if not seen.followed:
         # What lies where something always lies tells nothing.
         weight = np.log1p(0.5 / (2.0 * np.pi * 150.0) / clutter_per_px2(seen, image_size_px))
@@ -281,7 +274,7 @@ def _pieces(seen: Observations, image_size_px: tuple[int, int]) -> _Pieces:
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pieces and logs that may belong together, rows in the order of the pair.
+    """Pairs of a track segment and a log that may match, rows in the order of the pair.
 
     Attributes:
         row: (K,) row of `_Pieces`.
@@ -307,8 +300,10 @@ class _Pairs:
         return mean, np.sqrt(square)
 
 
-def _alike(pieces: _Pieces, paths: Sequence[LoggedPath], offset_s: float, width_px: int) -> _Pairs:
-    """The pairs in which columns go with bearings as they do before some camera."""
+def _alike(
+    pieces: _Pieces, paths: Sequence[ReferenceTrajectory], offset_s: float, width_px: int
+) -> _Pairs:
+    """Pairs whose columns are consistent with the bearings of some camera."""
     count = np.diff(np.append(pieces.start, pieces.time_utc_s.size))
     rows, bearings, distances, sizes, weights, spreads = [], [], [], [], [], []
     number = np.repeat(np.arange(count.size), count)
@@ -353,7 +348,7 @@ def _alike(pieces: _Pieces, paths: Sequence[LoggedPath], offset_s: float, width_
 
 
 def _rays(distorted: FloatArray, k1: float) -> tuple[FloatArray, FloatArray]:
-    """Directions of pixels: angle across, radians clockwise, and level angle, radians downwards."""
+    """Angles of pixels: horizontal, radians clockwise, and vertical, radians downwards."""
     radius = np.hypot(distorted[:, 0], distorted[:, 1])
     scale = np.ones_like(radius)
     if k1:

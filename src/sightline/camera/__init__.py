@@ -1,1 +1,1 @@
-"""One camera: its projection, its calibration, and how it points over time."""
+"""One camera: projection, calibration, and its rotation over time."""

@@ -1,13 +1,13 @@
-"""The unknown camera, fitted to pixels whose place on the earth is known.
+"""Camera calibration: maximum a posteriori fit to point correspondences.
 
 Maximum a posteriori estimate of the camera of `sightline.camera.pinhole`, together with the size
 of the target's hull, whose near side a box ends at, and a bias of the lower edge for each source
 of boxes. Residuals are pixels, because that is where the noise
 is: of the row and the column of a box's foot, each with a part that is constant in pixels and a
 part that is constant in metres at the target (a drawn waterline is wrong by a share of the hull, a
-log by metres), both estimated from the residuals. Large residuals count less (Huber). Priors on
-height, focal length, roll and distortion hold what thin data leaves open, and the posterior says
-which those were.
+log by metres), both estimated from the residuals. Large residuals are down-weighted (Huber).
+Priors on height, focal length, roll and distortion hold what thin data leaves open, and the
+posterior says which those were.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import least_squares, minimize
 
 from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
-from sightline.camera.observations import NO_SOURCE, Sightings, _check_enough
+from sightline.camera.observations import NO_SOURCE, PointCorrespondences, _check_enough
 from sightline.camera.parameters import (
     BIAS_M,
     BIAS_PX,
@@ -44,7 +44,7 @@ from sightline.camera.priors import (
     ANY_ASPECT,
     CameraPrior,
     PixelNoise,
-    SourceBelief,
+    SourcePrior,
 )
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -61,9 +61,9 @@ _ROUNDS = 4
 # Of a standard deviation: a step so small ends the search.
 _ENOUGH = 0.01
 _MOST_STEPS = 30
-# Ends as near as this to one another, as a share of a belief's width, are one.
+# Ends as near as this to one another, as a share of a prior's width, are one.
 _SAME_END = 0.05
-# Standard deviations of a belief by which scatter of the log may pull at most.
+# Standard deviations of a prior by which scatter of the log may pull at most.
 _MOST_PULLED = 2.0
 # A receiver stands somewhere on its boat.
 _MIDDLE_SIGMA_M = 1.0
@@ -81,7 +81,7 @@ _BEHIND = (
 
 @dataclass(frozen=True, eq=False)
 class CameraFit:
-    """A fitted camera, and how well it is known.
+    """A fitted camera with its parameter covariance and clock offsets.
 
     Attributes:
         vector: (11 + 2 S + G,) float64, in the order of `layout`; a clock offset is how many
@@ -94,12 +94,12 @@ class CameraFit:
         residual_px: (N, 2) float64, observed minus projected.
         standard_residual: (N,) float64, the residual over its standard deviation, root mean square
             of column and row.
-        leverage: (N,) float64, how much of the fit hangs on this sighting; they add up to the
+        leverage: (N,) float64, how much of the fit hangs on this correspondence; they add up to the
             number of parameters that the data determined.
         outlier: (N,) bool, residuals beyond four standard deviations.
         starts_agreeing: How many starts ended at this camera.
         starts: How many there were.
-        typical_range_m: Median distance of the sightings from the camera.
+        typical_range_m: Median distance of the correspondences from the camera.
     """
 
     vector: FloatArray
@@ -118,22 +118,22 @@ class CameraFit:
 
     @property
     def layout(self) -> ParameterLayout:
-        """Which slot of ``vector`` holds what."""
+        """Parameter layout of ``vector``."""
         return ParameterLayout.of(self.vector.size, self.clock_groups.size)
 
     @property
     def camera(self) -> Camera:
-        """The camera itself."""
+        """The fitted camera."""
         return Camera.from_vector(self.vector[CAMERA], self.image_size_px)
 
     @property
     def clock_offset_s(self) -> FloatArray:
-        """(G,) seconds that each recording's clock is to be moved on."""
+        """(G,) clock offset of each recording, seconds to add to its clock."""
         return self.vector[self.layout.clocks]
 
     @property
     def clock_sigma_s(self) -> float:
-        """Standard deviation of a clock that was not seen yet, seconds; 0 where none was."""
+        """Standard deviation of an unseen clock's offset, seconds; 0 where none was fitted."""
         count = self.clock_groups.size
         if count == 0:
             return 0.0
@@ -143,7 +143,7 @@ class CameraFit:
         return float(np.sqrt((0.5 * prior + np.sum(self.clock_offset_s**2 + own)) / (0.5 + count)))
 
     def determined(self) -> BoolArray:
-        """(9,) bool: whether data, and not the prior, says what each of `PARAMETERS` is.
+        """(9,) bool: whether the data, not the prior, determines each of `PARAMETERS`.
 
         A parameter counts as determined where its standard deviation is less than 0.7 of what it
         was before any data: an angle without a prior where it is known to 10 degrees, a position
@@ -156,7 +156,7 @@ class CameraFit:
         return np.asarray(sigma < _KNOWN_AT * prior)
 
     def target_determined(self) -> BoolArray:
-        """(2,) bool: the same of each of `TARGET_PARAMETERS`."""
+        """(2,) bool: as `determined`, of `TARGET_PARAMETERS`."""
         sigma = np.sqrt(np.diag(self.covariance)[TARGET])
         return np.asarray(sigma < _KNOWN_AT * self.prior_sigma[TARGET])
 
@@ -179,28 +179,28 @@ class CameraFitSettings:
 
 
 def fit_camera(
-    sightings: Sightings,
+    sightings: PointCorrespondences,
     image_size_px: tuple[int, int],
     *,
     n_sources: int,
     prior: CameraPrior | None = None,
-    beliefs: Mapping[int, SourceBelief] | None = None,
+    beliefs: Mapping[int, SourcePrior] | None = None,
     noise: PixelNoise | None = None,
     settings: CameraFitSettings | None = None,
 ) -> CameraFit:
-    """Fit the camera and the sources' biases to sightings.
+    """Fit the camera and the lower-edge bias of each source to point correspondences.
 
     Args:
         sightings: At least three, not all in one place.
         image_size_px: Width and height.
         n_sources: How many sources of boxes there are.
         prior: Beliefs about the camera; absent: those of an ordinary camera.
-        beliefs: About single sources, where more is known of them than the prior says.
+        beliefs: Priors of single sources, of which more is known than the prior says.
         noise: Noise of a foot, taken as known; absent: estimated from the residuals.
         settings: How the camera is fitted.
 
     Raises:
-        FitError: Too few sightings, all in one place, or no start that puts them before the camera.
+        FitError: Too few points, all in one place, or no start that puts them before the camera.
     """
     _check_enough(sightings)
     prior, settings = prior or CameraPrior(), settings or CameraFitSettings()
@@ -255,36 +255,36 @@ def fit_camera(
 
 @dataclass(frozen=True, eq=False)
 class _Refined:
-    """A maximum of the posterior.
+    """A local maximum of the posterior density.
 
     Attributes:
         vector: Parameters, with how far the middle of a box lies ahead of the receiver.
-        drift_m: (N, 2) by how much the log is off, as likely as may be, of what lasts.
+        correlated_m: (N, 2) most probable correlated error of the log.
         weight: (N, 2) how much each column and row counts, 0 to 1.
-        standard: (N, 2) residuals without what lasts, over their standard deviations.
+        standard: (N, 2) residuals without correlated error, over their standard deviations.
     """
 
     vector: FloatArray
-    drift_m: FloatArray
+    correlated_m: FloatArray
     weight: FloatArray
     standard: FloatArray
 
 
 class _Problem:
-    """Residuals and derivatives of one fit.
+    """Residuals and Jacobian of one maximum a posteriori fit.
 
     Vectors are those of `CameraFit`, or these followed by what is known of the places: how far
-    the middle of a box lies ahead of the receiver, and the values of the logs' drift.
+    the middle of a box lies ahead of the receiver, and the values of the logs' correlated error.
     """
 
     def __init__(
         self,
-        sightings: Sightings,
+        sightings: PointCorrespondences,
         image_size_px: tuple[int, int],
         n_sources: int,
         prior: CameraPrior,
         position_known: bool,
-        beliefs: Mapping[int, SourceBelief] | None,
+        beliefs: Mapping[int, SourcePrior] | None,
         heaving: bool = False,
     ) -> None:
         self.sightings = sightings
@@ -329,7 +329,7 @@ class _Problem:
             self.scale[POSITION] = self.spread
 
     def starts(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
-        """Cameras to start from: the prior's mean, then draws about it, all facing the targets."""
+        """Initial cameras: the prior mean, then draws from the prior, all facing the targets."""
         out = []
         for i in range(count):
             vector = self.mean.copy()
@@ -353,7 +353,7 @@ class _Problem:
         return out
 
     def aspect(self, vector: FloatArray) -> FloatArray:
-        """(N, 2) how much of the half length and of the half beam points to the camera."""
+        """(N, 2) shares of the half length and the half beam along the line of sight."""
         s = self.sightings
         east, north = s.east_m - vector[EAST], s.north_m - vector[NORTH]
         speed = np.hypot(*s.velocity_mps.T)
@@ -365,22 +365,22 @@ class _Problem:
         return out
 
     def expect_hull(self, vector: FloatArray) -> None:
-        """Let the boxes' widths say what hull to expect, of a target of common proportions."""
+        """Set the prior of the hull's dimensions from the widths of the boxes."""
         s = self.sightings
         rows = np.flatnonzero(np.isfinite(s.width_px))
         if rows.size < 3:
             return
         aspect = self.aspect(vector)[rows]
-        apparent = self.apparent(vector)[rows]
+        pixels_per_metre = self.pixels_per_metre(vector)[rows]
         seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
-        half = float(np.median(s.width_px[rows] / apparent / seen))
+        half = float(np.median(s.width_px[rows] / pixels_per_metre / seen))
         self.mean[TARGET] = half, _BEAM_SHARE * half
         self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
 
     def project(
         self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Expected pixels (N, 2), their derivatives by parameters and by the place.
+        """Expected pixels (N, 2), with Jacobians by the parameters and by the place.
 
         The place may be moved by a shift, (N, 2) metres.
         """
@@ -428,7 +428,7 @@ class _Problem:
         return pixel, jacobian, by_point
 
     def place(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where the targets were, (N,) east and north, by clocks and logs that were put right."""
+        """Target positions, east and north (N,), corrected for the offsets of clock and box."""
         s = self.sightings
         place = np.stack([s.east_m, s.north_m])
         if self.moving.size:
@@ -439,8 +439,8 @@ class _Problem:
             place += vector[self.layout.middle] * self.bow.T
         return place[0], place[1]
 
-    def apparent(self, vector: FloatArray) -> FloatArray:
-        """(N,) how large a metre at the box looks, pixels; zero for control points."""
+    def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
+        """(N,) image scale at the box, pixels per metre; zero for control points."""
         s = self.sightings
         slant = np.hypot(
             np.hypot(s.east_m - vector[EAST], s.north_m - vector[NORTH]),
@@ -449,25 +449,25 @@ class _Problem:
         return np.where(self.boxes, np.exp(vector[LOG_FOCAL]) / slant, 0.0)
 
     def pixel_variance(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
-        """(N, 2) variances of column and row without the place's, square pixels.
+        """(N, 2) pixel variances of column and row without the place's, square pixels.
 
         A control point has the pixel part of a box's noise.
         """
         own = replace(noise, heave_m=0.0) if self.heaving else noise
-        return np.stack(own.variances_px2(self.apparent(vector) ** 2), axis=1)
+        return np.stack(own.variances_px2(self.pixels_per_metre(vector) ** 2), axis=1)
 
     def place_sigma(self, noise: PixelNoise) -> FloatArray:
         """(N,) standard deviations of the places, metres; a control point has its own."""
         return np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
 
     def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
-        """(N, 2) standard deviations of column and row, pixels, but for what lasts."""
+        """(N, 2) standard deviations of column and row, pixels, without correlated noise."""
         by_place = self.project(vector, self.aspect(vector))[2][:, :, :2]
         place = (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
         return np.asarray(np.sqrt(self.pixel_variance(vector, noise) + place))
 
     def beliefs(self, size: int) -> tuple[FloatArray, FloatArray]:
-        """Means of a vector of a size, and the matrix that makes its deviations standard normal."""
+        """Prior mean of a vector of a size, and the matrix that whitens its deviations."""
         held = np.flatnonzero(self.held)
         out = np.zeros((held.size + size - self.size, size))
         out[np.arange(held.size), held] = 1.0 / self.sigma[held]
@@ -476,12 +476,12 @@ class _Problem:
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
     def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
-        """The nearest maximum of the posterior by the whole noise, the lasting error of logs too.
+        """The nearest maximum of the posterior under all noise, that of the logs included.
 
-        Gauss-Newton steps on whitened residuals. The lasting error, like that of single places, is
-        not left in the residual: derivatives are those at the likeliest places, since a fit that
+        Gauss-Newton steps on whitened residuals. The correlated error, like that of single places,
+        is not left in the residual: derivatives are those at the likeliest places, since a fit that
         charged all of it to the pixels would find a camera in which metres look too small (errors
-        in variables). Boxes that are off by much count less (Huber).
+        in variables). Outlying boxes are down-weighted (Huber).
 
         Returns:
             None where it ends behind the targets.
@@ -507,8 +507,8 @@ class _Problem:
                 self.blocks,
                 variance / weight,
                 by_place,
-                noise.drift_m,
-                noise.drift_s,
+                noise.correlated_m,
+                noise.correlation_time_s,
                 by_point[:, :, 2],
                 noise.heave_m,
             )
@@ -522,7 +522,7 @@ class _Problem:
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
             left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
             pull = whitening.backward(left)[:, :, 0]
-            drift = whitening.drift(pull)
+            drift = whitening.correlated_error(pull)
             shift = drift + latent * np.einsum("nij,ni->nj", by_place, pull)
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
@@ -534,13 +534,13 @@ class _Problem:
         return _Refined(vector, drift, weight, standard)
 
     def reach(self, size: int) -> FloatArray:
-        """(size,) the longest step in each parameter."""
+        """(size,) the largest step of each parameter."""
         return np.concatenate([self.scale, np.full(size - self.size, _MIDDLE_SIGMA_M)])
 
     def solve(
         self, start: FloatArray, noise: PixelNoise, evaluations: int
     ) -> tuple[float, FloatArray] | None:
-        """The nearest minimum of the posterior: its cost and place, or None if none was found."""
+        """Cost and parameters of the nearest posterior maximum; None if it does not converge."""
         sigma, aspect = self.sigmas(start, noise), self.aspect(start)
         mean, beliefs = self.beliefs(start.size)
         scale = np.concatenate([self.scale, np.ones(start.size - self.size)])
@@ -588,7 +588,7 @@ class _Problem:
         return (float(solution.cost), solution.x) if self._ahead(solution.x) else None
 
     def _ahead(self, vector: FloatArray) -> bool:
-        """Whether most sightings lie before the camera."""
+        """Whether most correspondences lie in front of the camera."""
         s = self.sightings
         heading = vector[HEADING]
         forward = np.sin(heading) * (s.east_m - vector[EAST]) + np.cos(heading) * (
@@ -597,19 +597,19 @@ class _Problem:
         return bool(np.mean(forward > 0.0) > 0.5)
 
     def linearise(self, found: _Refined) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Residuals (N, 2), derivatives by parameters and by points, where the log is put right.
+        """Residuals (N, 2) and Jacobians by parameters and by points, logs corrected.
 
-        What that took from the residuals is put back to first order. Only what lasts is put right:
-        boxes that two people drew at one moment show one place. With derivatives at two places, a
-        log that is off by very much would seem to explain how the boxes differ.
+        What that took from the residuals is put back to first order. Only the correlated error is
+        corrected: boxes that two people drew at one moment show one place. With derivatives at two
+        places, a log that is off by very much would seem to explain how the boxes differ.
         """
         aspect = self.aspect(found.vector)
-        pixel, jacobian, by_point = self.project(found.vector, aspect, found.drift_m)
-        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.drift_m)
+        pixel, jacobian, by_point = self.project(found.vector, aspect, found.correlated_m)
+        put_back = np.einsum("nij,nj->ni", by_point[:, :, :2], found.correlated_m)
         return self.sightings.pixel_px - pixel + put_back, jacobian, by_point
 
     def estimate_noise(self, found: _Refined, before: PixelNoise) -> PixelNoise:
-        """The noise under which the residuals are likeliest, with a weak prior on each part.
+        """Maximum a posteriori noise of the residuals, with a weak prior on each part.
 
         The likelihood is that of the residuals with the parameters integrated out, linearised
         where they are (restricted maximum likelihood).
@@ -624,7 +624,7 @@ class _Problem:
         # Variances are these times the squares of the first four of `PixelNoise`.
         parts = np.zeros((4, n, 2))
         parts[0, :, 1] = 1.0
-        parts[1, :, 1] = self.apparent(found.vector) ** 2
+        parts[1, :, 1] = self.pixels_per_metre(found.vector) ** 2
         parts[2, :, 0] = 1.0
         parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
         count = 7 if self.heaving else 6 if self.blocks else 4
@@ -632,11 +632,17 @@ class _Problem:
         columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
-            drift_m, drift_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
+            correlated_m, correlation_time_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
             heave_m = float(np.exp(t[6])) if count > 6 else 0.0
             variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
             whitening = Whitening(
-                self.blocks, variance, by_place, drift_m, drift_s, by_point[:, :, 2], heave_m
+                self.blocks,
+                variance,
+                by_place,
+                correlated_m,
+                correlation_time_s,
+                by_point[:, :, 2],
+                heave_m,
             )
             both = whitening.forward(columns)
             flat = both.reshape(-1, size + 1)
@@ -649,13 +655,16 @@ class _Problem:
             value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
             solved = whitening.backward(both)
             covariance = cho_solve(factor, np.eye(size), check_finite=False)
-            by_variance, *by_lasting = whitening.slopes(
-                solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance, drift_s
+            by_variance, *by_correlated = whitening.gradient(
+                solved[:, :, -1] - solved[:, :, :-1] @ step,
+                solved[:, :, :-1],
+                covariance,
+                correlation_time_s,
             )
             by_part = np.tensordot(parts, by_variance / found.weight, 2)
-            slopes = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_lasting])[:count]
+            gradient = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_correlated])[:count]
             belief = (t - centre) / width
-            return value + 0.5 * float(belief @ belief), slopes + belief / width
+            return value + 0.5 * float(belief @ belief), gradient + belief / width
 
         at = np.log([getattr(before, column.name) for column in fields(before)][:count])
         best = minimize(
@@ -667,13 +676,13 @@ class _Problem:
             options={"maxiter": 25, "ftol": 1e-6},
         )
         estimated = PixelNoise(*np.exp(best.x).tolist())
-        # Where no two fixes are near in time nobody can tell what lasts.
-        return estimated if self.blocks else replace(estimated, drift_m=0.0)
+        # Where no two fixes are near in time, correlated noise cannot be estimated.
+        return estimated if self.blocks else replace(estimated, correlated_m=0.0)
 
     def summarise(
         self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
     ) -> CameraFit:
-        """The fit with its uncertainty, from the best camera and where the starts ended."""
+        """The fit with its covariance, from the best optimum and those of all starts."""
         residual, jacobian, by_point = self.linearise(found)
         by_place = by_point[:, :, :2]
         variance = self.pixel_variance(found.vector, noise)
@@ -685,8 +694,8 @@ class _Problem:
             self.blocks,
             variance * crowding / found.weight,
             by_place,
-            noise.drift_m,
-            noise.drift_s,
+            noise.correlated_m,
+            noise.correlation_time_s,
             by_point[:, :, 2],
             noise.heave_m,
         )
@@ -725,10 +734,12 @@ class _Problem:
         )
 
     def with_all(self, fit: CameraFit, chosen: IntArray) -> CameraFit:
-        """A fit to some sightings as one to all: the others are compared with it."""
+        """A fit to a subset, extended by the residuals of all correspondences."""
         pixel, _, by_point = self.project(fit.vector, self.aspect(fit.vector))
         per_metre = np.sum(by_point[:, :, :2] ** 2, axis=2)
-        sigma = np.hypot(self.sigmas(fit.vector, fit.noise), fit.noise.drift_m * np.sqrt(per_metre))
+        sigma = np.hypot(
+            self.sigmas(fit.vector, fit.noise), fit.noise.correlated_m * np.sqrt(per_metre)
+        )
         residual = self.sightings.pixel_px - pixel
         standard = residual / sigma
         residual[chosen] = fit.residual_px
@@ -745,10 +756,10 @@ class _Problem:
     def _attenuation(
         self, vector: FloatArray, noise: PixelNoise, variance_px2: FloatArray
     ) -> FloatArray:
-        """(P,) how scatter of places that was charged to the pixels pulls at the parameters.
+        """(P,) cost gradient of the attenuation by place noise charged to the pixels.
 
         It makes metres look small: the slope of its expected part of the cost. Where the data hold
-        the camera it hardly moves it; where they do not, this is how far off the estimate may be.
+        the camera it hardly moves it; where they do not, the estimate may be off by this much.
         """
         rows = self.boxes & ~self.timed
         out = np.zeros(vector.size)
@@ -769,14 +780,14 @@ class _Problem:
 
     @staticmethod
     def _same(one: FloatArray, other: FloatArray, covariance: FloatArray) -> bool:
-        """Whether two cameras differ by less than a standard deviation in every parameter."""
+        """Whether two cameras agree within one standard deviation in every parameter."""
         difference = one[CAMERA] - other[CAMERA]
         turn = difference[HEADING]
         difference[HEADING] = np.arctan2(np.sin(turn), np.cos(turn))
         return bool(np.all(np.abs(difference) < np.sqrt(np.diag(covariance)[CAMERA])))
 
     def _shared_error(self, standard: FloatArray) -> float:
-        """The correlation of errors within a recording, 0 to 1 (one-way analysis of variance)."""
+        """Intraclass correlation of errors within a recording, 0 to 1 (one-way ANOVA)."""
         group = self.sightings.group
         names, inverse, count = np.unique(group, return_inverse=True, return_counts=True)
         if names.size < 2 or names.size == group.size:
@@ -790,7 +801,7 @@ class _Problem:
         return float(np.clip(shared / max(shared + within, 1e-12), 0.0, 1.0))
 
     def _crowding(self, share: float) -> FloatArray:
-        """(N,) by what the information of each sighting is thinned: 1 + (n - 1) share.
+        """(N,) design effect by which correspondences are down-weighted: 1 + (n - 1) share.
 
         Boxes of one moment, drawn by one and found by another, are of one place, and count as one.
         """

@@ -1,16 +1,16 @@
-"""The error of a log that lasts, and how much boxes of one moment then tell.
+"""Correlated noise of a log, and of boxes of one moment: whitening and its likelihood.
 
 A receiver that is two metres off is two metres off for half a minute. Boxes within seconds of each
 other share this error: as independent ones they would seem to tell more than they do, and turn the
 camera towards the log. It is a Gauss-Markov (Ornstein-Uhlenbeck) process in east and another in
 north, anew in each recording and for each vessel. Its covariance is
-``drift_m² exp(-|Δt| / drift_s)``, but smooth below a second, since fixes come a second apart and
-are interpolated between. Residuals are whitened by what it and the boxes' own noise make together
-(generalised least squares).
+``correlated_m² exp(-|Δt| / correlation_time_s)``, but smooth below a second, since fixes come a
+second apart and are interpolated between. Residuals are whitened by what it and the boxes' own
+noise make together (generalised least squares).
 
-The heave of a camera that moves lasts as well, for a second or so, and moves the rows of all boxes.
-It is another such process, in metres of height, anew in each recording. Were it not told apart it
-would be taken for an error of the log, and that is none of the boxes'.
+The heave of a camera that moves is correlated as well, over a second or so, and moves the rows of
+all boxes. It is another such process, in metres of height, anew in each recording. Were it not told
+apart it would be taken for an error of the log, and that is none of the boxes'.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ LONGEST_BLOCK_S = 60.0
 MOST_IN_BLOCK = 256
 """Boxes in a block; more in as short a time tell hardly more."""
 
-# exp(-(sqrt(Δt² + s²) - s) / drift_s) is positive definite: the exponent is a Bernstein function of
-# Δt² (Schoenberg).
+# exp(-(sqrt(Δt² + s²) - s) / correlation_time_s) is positive definite: the exponent is a Bernstein
+# function of Δt² (Schoenberg).
 _SMOOTH_S = 1.0
 
-HEAVE_S = 0.7
-"""How long heave lasts: by this a wave of five seconds is half gone after a fourth of it."""
+HEAVE_CORRELATION_TIME_S = 0.7
+"""Correlation time of heave: by this a wave of five seconds is half gone after a fourth of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Sightings of one log whose errors are correlated.
+    """Point correspondences of one log whose errors are correlated.
 
     Attributes:
-        rows: (n,) int64, which sightings.
+        rows: (n,) int64, which correspondences.
         apart_s: (n, n) float64, seconds between any two of them, less where these are few.
     """
 
@@ -50,7 +50,7 @@ class Block:
 
 
 def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
-    """The rows to learn from: all, but for those of a log that come faster than needed."""
+    """Rows to learn from: logs that report faster than needed are thinned."""
     kept = [np.flatnonzero(~np.isfinite(time_s))]
     for one in np.unique(log[np.isfinite(time_s)]):
         rows = np.flatnonzero((log == one) & np.isfinite(time_s))
@@ -64,7 +64,7 @@ def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
 
 
 def blocks_of(time_s: FloatArray, log: IntArray) -> list[Block]:
-    """Logs in a recording, or parts of long ones; sightings without a time are in none."""
+    """Blocks of correlated errors: logs of a recording, long ones in parts; none without times."""
     out = []
     for one in np.unique(log[np.isfinite(time_s)]):
         rows = np.flatnonzero((log == one) & np.isfinite(time_s))
@@ -76,22 +76,22 @@ def blocks_of(time_s: FloatArray, log: IntArray) -> list[Block]:
 
 @dataclass(frozen=True, eq=False)
 class LogError:
-    """The lasting error of a log as one coordinate of each of several places sees it.
+    """Correlated log error, projected on one coordinate at each of several places.
 
     Attributes:
         time_s: (N,) float64, seconds; NaN where it is not known, and errors are independent.
         direction: (N, 2) float64, by how much the coordinate changes with a metre east and north.
         log: (N,) int64, which log tells each place; errors of different ones are independent.
-        drift_m: Standard deviation in east and in north.
-        drift_s: How long it lasts.
+        correlated_m: Standard deviation in east and in north.
+        correlation_time_s: Its correlation time.
         heave: Standard deviation of what the camera's heave adds to the coordinate.
     """
 
     time_s: FloatArray
     direction: FloatArray
     log: IntArray
-    drift_m: float
-    drift_s: float
+    correlated_m: float
+    correlation_time_s: float
     heave: float = 0.0
 
     def __getitem__(self, rows: IntArray | BoolArray) -> LogError:
@@ -100,30 +100,30 @@ class LogError:
         )
 
     def covariance(self) -> FloatArray:
-        """(N, N) of the coordinate."""
+        """(N, N) covariance of the coordinate."""
         apart = _apart(self.time_s)
-        kernel = self.drift_m**2 * np.exp(-apart / self.drift_s)
+        kernel = self.correlated_m**2 * np.exp(-apart / self.correlation_time_s)
         alike = (self.log[:, None] == self.log[None, :]) & np.isfinite(kernel)
         out = np.where(alike, kernel, 0.0) * (self.direction @ self.direction.T)
         if self.heave > 0.0:
-            out += np.where(alike, self.heave**2 * np.exp(-apart / HEAVE_S), 0.0)
+            out += np.where(alike, self.heave**2 * np.exp(-apart / HEAVE_CORRELATION_TIME_S), 0.0)
         return np.asarray(out)
 
 
 def _apart(time_s: FloatArray) -> FloatArray:
-    """(N, N) seconds between any two times, less where these are few."""
+    """(N, N) absolute time differences, seconds, smoothed about zero."""
     return np.asarray(np.hypot(time_s[:, None] - time_s[None, :], _SMOOTH_S) - _SMOOTH_S)
 
 
 class Whitening:
-    """What makes the residuals of sightings independent, of unit variance.
+    """Whitens the residuals of point correspondences: independent, of unit variance.
 
     Args:
         blocks: Of `blocks_of`.
-        variance_px2: (N, 2) square pixels, of columns and rows, without the log's lasting error.
+        variance_px2: (N, 2) square pixels, of columns and rows, without the log's correlated error.
         by_place: (N, 2, 2) pixels a metre, derivatives of columns and rows by east and north.
-        drift_m: Standard deviation of the lasting error.
-        drift_s: How long it lasts.
+        correlated_m: Standard deviation of the correlated error.
+        correlation_time_s: Its correlation time.
         by_height: (N, 2) pixels a metre, derivatives of columns and rows by the camera's height.
         heave_m: Standard deviation of that height.
     """
@@ -133,8 +133,8 @@ class Whitening:
         blocks: list[Block],
         variance_px2: FloatArray,
         by_place: FloatArray,
-        drift_m: float,
-        drift_s: float,
+        correlated_m: float,
+        correlation_time_s: float,
         by_height: FloatArray | None = None,
         heave_m: float = 0.0,
     ) -> None:
@@ -144,7 +144,9 @@ class Whitening:
         self._by_height = by_height if heave_m > 0.0 else None
         self._heave_m = heave_m
         self.variance_px2 = variance_px2
-        self.kernels = [drift_m**2 * np.exp(-block.apart_s / drift_s) for block in blocks]
+        self.kernels = [
+            correlated_m**2 * np.exp(-block.apart_s / correlation_time_s) for block in blocks
+        ]
         self.factors = []
         for block, kernel in zip(blocks, self.kernels, strict=True):
             covariance = np.kron(kernel, np.ones((2, 2))) * self.turned(block)
@@ -156,18 +158,18 @@ class Whitening:
             self.factors.append(cholesky(covariance, lower=True, check_finite=False))
 
     def turned(self, block: Block) -> FloatArray:
-        """(2 n, 2 n) by how much an error that two sightings share moves both their pixels."""
+        """(2 n, 2 n) covariance of the pixels for a shared place error of unit variance."""
         flat = self._by_place[block.rows].reshape(-1, 2)
         return np.asarray(flat @ flat.T)
 
     def _lifted(self, block: Block) -> FloatArray:
-        """(2 n, 2 n) as `turned`, of a heave that two sightings share."""
+        """(2 n, 2 n) as `turned`, for a shared heave of unit variance."""
         assert self._by_height is not None, "the caller has looked"
         flat = self._by_height[block.rows].ravel()
         return np.outer(flat, flat)
 
     def _heave_kernel(self, block: Block) -> FloatArray:
-        return np.asarray(self._heave_m**2 * np.exp(-block.apart_s / HEAVE_S))
+        return np.asarray(self._heave_m**2 * np.exp(-block.apart_s / HEAVE_CORRELATION_TIME_S))
 
     def forward(self, values: FloatArray) -> FloatArray:
         """Whiten (N, 2, K) pixels."""
@@ -181,7 +183,7 @@ class Whitening:
         return np.asarray(out)
 
     def backward(self, whitened: FloatArray) -> FloatArray:
-        """Of whitened values (N, 2, K) the product of the inverse covariance with the pixels."""
+        """Inverse covariance times pixels, from whitened values (N, 2, K)."""
         out = whitened / self._sigma[:, :, None]
         for block, factor in zip(self._blocks, self.factors, strict=True):
             own = whitened[block.rows]
@@ -195,8 +197,8 @@ class Whitening:
             out[block.rows] = solved.reshape(own.shape)
         return np.asarray(out)
 
-    def drift(self, weights: FloatArray) -> FloatArray:
-        """(N, 2) the likeliest lasting error, metres, of `backward`'s (N, 2) of the residuals."""
+    def correlated_error(self, weights: FloatArray) -> FloatArray:
+        """(N, 2) most probable correlated error, metres, of `backward`'s (N, 2) residuals."""
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
         out = np.zeros_like(pulled)
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
@@ -211,19 +213,24 @@ class Whitening:
         value = float(np.log(self._sigma[free]).sum())
         return value + sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
 
-    def slopes(
-        self, weights: FloatArray, solved: FloatArray, covariance: FloatArray, drift_s: float
+    def gradient(
+        self,
+        weights: FloatArray,
+        solved: FloatArray,
+        covariance: FloatArray,
+        correlation_time_s: float,
     ) -> tuple[FloatArray, float, float, float]:
-        """Slopes of minus the log-likelihood by all variances, and by what lasts.
+        """Gradient of the negative log-likelihood by the white and the correlated noise.
 
         Args:
             weights: (N, 2) inverse covariance times the residuals that the parameters leave.
             solved: (N, 2, P) inverse covariance times the derivatives by the parameters.
             covariance: (P, P) of the parameters.
-            drift_s: How long the lasting error lasts.
+            correlation_time_s: Correlation time of the correlated error.
 
         Returns:
-            (N, 2) by each variance; by the logarithms of ``drift_m``, ``drift_s`` and ``heave_m``.
+            (N, 2) by each variance; by the logarithms of ``correlated_m``, ``correlation_time_s``
+            and ``heave_m``.
         """
         by_variance = 1.0 / self.variance_px2 - np.einsum(
             "nik,kl,nil->ni", solved, covariance, solved, optimize=True
@@ -244,5 +251,5 @@ class Whitening:
             inner *= self.turned(block)
             together = inner.reshape(n, 2, n, 2).sum(axis=(1, 3)) * kernel
             by_size += float(together.sum())
-            by_length += 0.5 * float(np.vdot(together, block.apart_s)) / drift_s
+            by_length += 0.5 * float(np.vdot(together, block.apart_s)) / correlation_time_s
         return 0.5 * by_variance, by_size, by_length, by_heave

@@ -1,4 +1,4 @@
-"""Where the water ends, to a part of a pixel: for a camera that rolls between two frames."""
+"""Waterline detection with sub-pixel precision, for a camera that rolls between frames."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LEAST_BANDS = 12
 
 
 def find_waterline(image_bgr: NDArray[np.uint8]) -> tuple[float, float] | None:
-    """The line at which the water meets what is behind it, at the left and the right edge.
+    """Rows of the waterline at the left and the right edge of the image.
 
     Roughly it is the line above which everything is of another colour than below it, and in the
     same way over the whole width: wakes, glitter and boats are not. A far shore has an edge at its
@@ -66,7 +66,7 @@ def find_waterline(image_bgr: NDArray[np.uint8]) -> tuple[float, float] | None:
 
 
 def _rough(image_bgr: NDArray[np.uint8]) -> tuple[float, float]:
-    """Rows at the left and right edge of the line that parts two colours best."""
+    """Rough rows at the left and right edge of the line that best separates two colours."""
     height, width = image_bgr.shape[:2]
     step = height / _ROWS
     bands = np.asarray(
@@ -96,7 +96,7 @@ def _rough(image_bgr: NDArray[np.uint8]) -> tuple[float, float]:
 def _along(
     image_bgr: NDArray[np.uint8], line: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Colours (rows about a line, bands of columns, 3), and the middles of the bands, px."""
+    """Colour profile (rows about a line, bands of columns, 3), and the centres of the bands, px."""
     width = image_bgr.shape[1]
     turn = np.array(
         [[1.0, 0.0, 0.0], [(line[1] - line[0]) / width, 1.0, line[0] - _SEARCH_PX]],
@@ -116,7 +116,7 @@ def _along(
 
 
 def _vertex(values: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> FloatArray:
-    """How far a parabola through three neighbours puts a maximum from the middle one."""
+    """Offset of the vertex of a parabola through three neighbours from the middle one."""
     before, at, after = (values[rows + step, columns] for step in (-1, 0, 1))
     bend = before - 2.0 * at + after
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -125,7 +125,7 @@ def _vertex(values: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp
 
 
 def _median_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """Slope and value at 0 of the line of Theil and Sen: the medians of what pairs say."""
+    """Slope and intercept of the Theil-Sen line through points."""
     i, j = np.triu_indices(x.size, 1)
     slope = float(np.median((y[j] - y[i]) / (x[j] - x[i])))
     return slope, float(np.median(y - slope * x))

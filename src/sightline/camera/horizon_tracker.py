@@ -1,4 +1,4 @@
-"""The horizon of a camera that stands still, for what is looked at before a camera is fitted."""
+"""The horizon of a static camera, found before any calibration."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _EAGER_FRAMES = 16
 
 
 class HorizonFinder:
-    """The median of the waterlines of several frames.
+    """The median waterline of several frames.
 
-    Frames are looked at ever more seldom, at 1, 2, 4, 8 ... of them, so that one with a ship
+    Frames are observed ever more seldom, at 1, 2, 4, 8 ... of them, so that one with a ship
     before the horizon does not count for long, and none costs much. As long as no waterline was
-    found, each of the first frames is looked at.
+    found, each of the first frames is observed.
     """
 
     def __init__(self, most: int = 15) -> None:
@@ -35,7 +35,7 @@ class HorizonFinder:
         self._horizon: tuple[float, float] | None = None
 
     def look(self, image_bgr: NDArray[np.uint8]) -> tuple[float, float] | None:
-        """Take the next frame.
+        """Observe the next frame.
 
         Args:
             image_bgr: (H, W, 3).
@@ -56,7 +56,7 @@ class HorizonFinder:
 
 
 def with_horizons(frames: Iterable[Frame]) -> Iterator[Frame]:
-    """Frames with the horizon that is seen in each, of a camera that rolls and pitches."""
+    """Frames with their horizon detected, for a camera that rolls and pitches."""
     for frame in frames:
         line = find_waterline(frame.image_bgr)
         seen = line is not None and bool(np.isfinite(line).all())

@@ -1,10 +1,10 @@
-"""Whether a camera that ought to stand still has been turned: seen against the far shore.
+"""Detection of camera rotation against the static scene along the horizon.
 
 Strips of the picture along the horizon show what does not move: the far shore, houses, hills. How
 far each has moved against a reference is found by phase correlation (Kuglin and Hines 1975), to a
 fraction of a pixel. The median over the strips does not see the boats that pass before some. Where
 there is only a horizon between water and sky, the strips still tell by how much it rose or fell,
-and nothing tells what was turned about the vertical.
+and nothing tells the rotation about the vertical.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sightline.camera.registration import (
     HALF_HEIGHT_PX,
     HALF_STORED_PX,
     NOWHERE,
-    View,
+    ReferenceView,
     agree,
     coarse_shift,
     consensus,
@@ -44,17 +44,17 @@ _EAGER = 16
 
 @dataclass(frozen=True)
 class CameraTurn:
-    """A turn of the camera.
+    """One camera rotation.
 
     Attributes:
-        time_utc_s: When it was noticed; NaN where the frames have no times.
+        time_utc_s: When it was detected; NaN where the frames have no times.
         frame: In which frame.
         heading_deg: To the right, by the shift of the picture; NaN where only the horizon is seen.
         pitch_deg: Downwards.
         roll_deg: The right end of the horizon downwards.
         shift_px: The largest shift of a strip, pixels.
-        before_utc_s: Time of the last picture looked at before it.
-        since_utc_s: Time of the first picture looked at after it.
+        before_utc_s: Time of the last frame observed before it.
+        since_utc_s: Time of the first frame observed after it.
     """
 
     time_utc_s: float
@@ -68,34 +68,34 @@ class CameraTurn:
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
-    """A time in which the camera stood still, and what it saw.
+class StaticInterval:
+    """A time in which the camera did not rotate, with its reference view.
 
     Attributes:
-        before_utc_s: Time of the last picture looked at in which it did not stand so yet; minus
-            infinity for the first stance.
-        since_utc_s: Time of the first picture in which it did; minus infinity for the first.
-        view: What it saw.
+        before_utc_s: Time of the last observed frame of the static interval before; minus
+            infinity for the first one.
+        since_utc_s: Time of the first frame of this one; minus infinity for the first.
+        view: The reference view of the static scene.
     """
 
     before_utc_s: float
     since_utc_s: float
-    view: View
+    view: ReferenceView
 
 
-class CameraMotionWatch:
-    """Watches the pictures of a camera that ought to stand still.
+class CameraMotionDetector:
+    """Detects rotations of a camera that should be static.
 
-    The reference is made from the first pictures, and after a turn anew from those that show it.
+    The reference is made from the first frames, and after a rotation anew from those that show it.
 
     Args:
         horizon_px: Rows of the horizon at two or more columns, evenly apart from the left edge of
             the image to the right one; None: the edge of the water is looked for in the first
             pictures, and nothing is watched where there is none.
         focal_px: Focal length.
-        least_deg: Turns that are smaller are not reported.
-        lasts_s: A turn counts once it has lasted so long: a gust is none.
-        reference_frames: How many pictures make a reference.
+        least_deg: Rotations that are smaller are not reported.
+        lasts_s: A rotation counts once it has lasted so long: a gust is none.
+        reference_frames: Number of frames of a reference.
         like: A view whose strips are to be looked at, instead of ``horizon_px``.
     """
 
@@ -107,7 +107,7 @@ class CameraMotionWatch:
         least_deg: float = 0.2,
         lasts_s: float = 3.0,
         reference_frames: int = 15,
-        like: View | None = None,
+        like: ReferenceView | None = None,
     ) -> None:
         if not (focal_px > 0.0 and least_deg > 0.0 and lasts_s >= 0.0 and reference_frames >= 1):
             raise InputError(
@@ -130,7 +130,7 @@ class CameraMotionWatch:
 
     @staticmethod
     def fits(image_size_px: tuple[int, int]) -> bool:
-        """Whether pictures of a size hold strips about their horizon."""
+        """Whether frames of a size hold patches along their horizon."""
         return image_size_px[1] >= 2 * HALF_HEIGHT_PX and image_size_px[0] // _STRIPS >= 16
 
     def reset(self) -> None:
@@ -144,25 +144,25 @@ class CameraMotionWatch:
         self._recent: deque[tuple[float, FloatArray, NDArray[np.uint8]]] = deque()
         self._before_s, self._settled_s = -np.inf, -np.inf
         self._since, self._landmarks = (-np.inf, -np.inf), True
-        self._past: list[Stance] = []
+        self._past: list[StaticInterval] = []
 
     @property
-    def stances(self) -> tuple[Stance, ...]:
-        """How the camera stood so far, in the order of time; none before the first reference."""
+    def static_intervals(self) -> tuple[StaticInterval, ...]:
+        """Static intervals so far, in the order of time; none before the first reference."""
         if self._reference is None:
             return ()
         return (*self._past, self._stance(self._reference))
 
     @property
     def settled_utc_s(self) -> float:
-        """Up to this time no other turn will be told of."""
+        """Time up to which no further rotation can be detected."""
         return np.inf if self._blind else self._settled_s
 
     def update(self, frame: Frame) -> CameraTurn | None:
-        """Look at a frame; frames come in the order of time.
+        """Register the next frame; frames come in the order of time.
 
         Returns:
-            The turn, where one is noticed in this frame.
+            The rotation, where one is detected in this frame.
 
         Raises:
             InputError: The picture is too small to hold strips about its horizon.
@@ -202,7 +202,7 @@ class CameraMotionWatch:
         return self._turn(frame, np.stack([one for _, one, _ in self._recent]))
 
     def _placed(self, size: tuple[int, int], frame: Frame) -> bool:
-        """Whether it is known where the strips lie; the first frames may have to wait for it."""
+        """Whether the patches are placed along the horizon; early frames may wait for it."""
         if self._size is not None:
             return True
         rows = self._given
@@ -234,7 +234,7 @@ class CameraMotionWatch:
         return True
 
     def _nearer(self, moved: FloatArray, strips: NDArray[np.uint8]) -> FloatArray:
-        """What was measured, or what is after a coarse look where the strips disagree."""
+        """The measured displacements, refined from a coarse shift where patches disagree."""
         assert self._reference is not None, "the caller has looked"
         if agree(moved[None, :, :2], *consensus(moved[:, :2])):
             return moved
@@ -243,7 +243,7 @@ class CameraMotionWatch:
         return again if agree(again[None, :, :2], *consensus(again[:, :2])) else moved
 
     def _learn(self, look: tuple[float, FloatArray, NDArray[np.uint8]]) -> None:
-        """Make the reference of a stance that has just begun better by one more picture."""
+        """Add a frame to the reference of a static interval that has just begun."""
         _, moved, strips = look
         if (
             len(self._sample) >= self._count
@@ -254,7 +254,7 @@ class CameraMotionWatch:
         self._reference = _median(self._sample)
 
     def _turn(self, frame: Frame, moved: FloatArray) -> CameraTurn | None:
-        """The turn that (T, S, 3) shifts of the strips in the last pictures tell."""
+        """The rotation in (T, S, 3) displacements of the last frames; None where there is none."""
         rows = np.stack([np.zeros(moved.shape[:2]), moved[..., 2]], axis=-1)
         for landmarks, shifts in ((True, moved[..., :2]), (False, rows)):
             across, down, slope = consensus(np.median(shifts, axis=0))
@@ -291,8 +291,10 @@ class CameraMotionWatch:
             since_utc_s=since_s,
         )
 
-    def _stance(self, reference: NDArray[np.uint8]) -> Stance:
-        return Stance(*self._since, View(reference, self._top, self._left, self._landmarks))
+    def _stance(self, reference: NDArray[np.uint8]) -> StaticInterval:
+        return StaticInterval(
+            *self._since, ReferenceView(reference, self._top, self._left, self._landmarks)
+        )
 
     def _strips(self, image_bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
         parts = [
@@ -310,7 +312,7 @@ def _median(strips: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
 
 
 def _change(moved: FloatArray, turn: FloatArray) -> int:
-    """The first of T looks after a turn: at which step looks (T, S, 2) are best explained."""
+    """Index of the first of T frames after a rotation, from displacements (T, S, 2)."""
     before = np.abs(moved).sum(axis=2)
     after = np.abs(moved - turn).sum(axis=2)
     # Over the strips the median: a boat before one of them says nothing.

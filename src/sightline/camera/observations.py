@@ -1,4 +1,4 @@
-"""Pixels whose place on the earth is known: feet of boxes, control points, landmarks."""
+"""Point correspondences: foot points, control points and landmarks with known places."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sightline.types import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Pixels whose place is known: control points, and landmarks along the shore or at the horizon.
+    """Pixels of known place: control points, and landmarks along the shore or at the horizon.
 
     What is far away may lie anywhere on hundreds of metres, and still tells the row of the horizon.
 
     Attributes:
         pixel_px: (M, 2) float64, x and y.
         east_north_m: (M, 2) float64, metres in the plane.
-        sigma_m: (M,) float64, how far off each may lie, in every direction.
+        sigma_m: (M,) float64, standard deviation of each, in every direction.
     """
 
     pixel_px: FloatArray
@@ -38,12 +38,12 @@ class Landmarks:
 NO_SOURCE = -1
 
 
-"""The source of a control point, whose pixel has no habit."""
+"""The source of a control point, whose pixel has no bias."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
-    """Pixels whose place on the earth is known: feet of boxes, and control points.
+class PointCorrespondences:
+    """Pixels of known place on the earth: foot points of boxes, and control points.
 
     Attributes:
         pixel_px: (N, 2) float64, x and y.
@@ -53,7 +53,7 @@ class Sightings:
         group: (N,) int64, index of the recording; errors within one are alike.
         velocity_mps: (N, 2) float64, east and north, of the target; zero where it stands still or
             is not known.
-        sigma_m: (N,) float64, how far off the place may be: a control point read from a map. Zero
+        sigma_m: (N,) float64, standard deviation of the place: of a control point from a map. Zero
             for boxes, whose noise is estimated.
         time_s: (N,) float64, seconds, from which it is told which errors of the log are alike; NaN
             where there is no log, or no time is known. Absent: nowhere.
@@ -61,7 +61,7 @@ class Sightings:
         above_m: (N,) float64, how high the water stood there above the plane that the camera's
             height is over. Absent: at it.
         log: (N,) int64, index of the log that tells the place, one for each vessel of a recording:
-            an error of it that lasts is its own. Absent: one for each recording.
+            its correlated error is its own. Absent: one for each recording.
     """
 
     pixel_px: FloatArray
@@ -88,11 +88,11 @@ class Sightings:
     def __len__(self) -> int:
         return int(self.east_m.size)
 
-    def __getitem__(self, rows: IntArray) -> Sightings:
-        return Sightings(*(getattr(self, column.name)[rows] for column in fields(self)))
+    def __getitem__(self, rows: IntArray) -> PointCorrespondences:
+        return PointCorrespondences(*(getattr(self, column.name)[rows] for column in fields(self)))
 
 
-def _check_enough(sightings: Sightings) -> None:
+def _check_enough(sightings: PointCorrespondences) -> None:
     if len(sightings) < 3:
         raise FitError(
             f"{len(sightings)} pairs of a box and a fix; a camera needs at least 3, better 30 "

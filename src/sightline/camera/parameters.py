@@ -1,4 +1,4 @@
-"""The layout of a camera fit's parameter vector: which slot holds what.
+"""The layout of a camera fit's parameter vector.
 
 A vector holds the camera, then the hull of its target, then two biases of each source of boxes,
 then the clock offset of each recording. Everything else addresses a parameter by the names here.
@@ -68,7 +68,7 @@ Index = TypeVar("Index", int, IntArray)
 
 @dataclass(frozen=True)
 class ParameterLayout:
-    """Slots of a whole parameter vector: `CAMERA`, `TARGET`, then the sources and the clocks.
+    """Slots of the parameter vector: `CAMERA`, `TARGET`, then the sources and the clocks.
 
     Attributes:
         n_sources: How many sources of boxes there are.
@@ -80,7 +80,7 @@ class ParameterLayout:
 
     @classmethod
     def of(cls, size: int, n_clocks: int) -> ParameterLayout:
-        """The layout of a vector of some size, with so many clocks."""
+        """The layout of a parameter vector of some size, with so many clocks."""
         return cls((size - n_clocks - TARGET.stop) // len(SOURCE_PARAMETERS), n_clocks)
 
     def source(self, index: int) -> slice:
@@ -113,17 +113,17 @@ class ParameterLayout:
 
     @property
     def size(self) -> int:
-        """How many parameters there are."""
+        """Number of parameters."""
         return int(self.clocks.stop)
 
     @property
     def middle(self) -> int:
-        """Slot of what only the fit itself knows: how far a box's middle lies ahead of the log."""
+        """Slot of the offset of a box's middle ahead of the log, internal to the fit."""
         return self.size
 
 
 def camera_vector(by_slot: Mapping[int, float]) -> FloatArray:
-    """(9,) float64 parameters of a camera by their slots; 0 where there is none."""
+    """(9,) float64 camera parameters by their slots; 0 where none is given."""
     out = np.zeros(len(PARAMETERS))
     for slot, value in by_slot.items():
         out[slot] = value

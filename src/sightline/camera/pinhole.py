@@ -1,4 +1,4 @@
-"""A camera above a plane: from places on the earth to pixels, and back.
+"""A pinhole camera above a plane: projection of places to pixels, and back.
 
 The camera stands ``height_m`` above the water or the road, at ``(east_m, north_m)`` in the local
 plane. ``heading_deg`` is the bearing of its optical axis, clockwise from north; ``pitch_deg`` is
@@ -88,7 +88,7 @@ class Camera:
 
     @classmethod
     def from_vector(cls, vector: FloatArray, image_size_px: tuple[int, int]) -> Camera:
-        """The camera of a parameter vector, (9,) float64 as `PARAMETERS` says."""
+        """The camera of a parameter vector, (9,) float64 in the order of `PARAMETERS`."""
         return cls(
             height_m=float(np.exp(vector[LOG_HEIGHT])),
             pitch_deg=float(np.degrees(vector[PITCH])),
@@ -103,7 +103,7 @@ class Camera:
         )
 
     def to_vector(self) -> FloatArray:
-        """The parameter vector, (9,) float64 as `PARAMETERS` says."""
+        """The parameter vector, (9,) float64 in the order of `PARAMETERS`."""
         return camera_vector(
             {
                 LOG_HEIGHT: np.log(self.height_m),
@@ -120,12 +120,12 @@ class Camera:
 
     @cached_property
     def rotation(self) -> FloatArray:
-        """(3, 3) float64, from east, north, up to the camera's right, down and forward."""
+        """(3, 3) rotation matrix from east, north, up to the camera's right, down and forward."""
         return rotation_matrix(self.to_vector())
 
     @cached_property
     def largest_radius(self) -> float:
-        """The normalised radius, undistorted, beyond which the lens model folds back on itself.
+        """Largest normalised undistorted radius at which the distortion is still monotonic.
 
         Infinite where it never does. There ``d r_d / d r = 1 + 3 k1 r² + 5 k2 r⁴`` has its first
         positive root.
@@ -137,7 +137,7 @@ class Camera:
     def project(
         self, east_m: ArrayLike, north_m: ArrayLike, above_m: ArrayLike = 0.0
     ) -> FloatArray:
-        """Pixels of points in the world.
+        """Project points of the world to pixels.
 
         Args:
             east_m: (N,) metres in the local plane.
@@ -158,7 +158,7 @@ class Camera:
     def locate(
         self, pixel_px: ArrayLike, above_m: ArrayLike = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Where the ray through a pixel meets the plane that lies ``above_m`` over the ground.
+        """Intersect the rays of pixels with the plane that lies ``above_m`` over the ground.
 
         Args:
             pixel_px: (N, 2) x and y.
@@ -179,7 +179,7 @@ class Camera:
         return self.east_m + east, self.north_m + north
 
     def rays(self, pixel_px: ArrayLike) -> FloatArray:
-        """Unit vectors along which pixels look, to the right, down and forward of the camera.
+        """Unit vectors of the rays through pixels: right, down and forward of the camera.
 
         Args:
             pixel_px: (N, 2) x and y.
@@ -193,7 +193,7 @@ class Camera:
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
     def pixels(self, rays: ArrayLike) -> FloatArray:
-        """The reverse of `rays`: (N, 2) pixels; NaN behind the camera and beyond the fold."""
+        """Pixels (N, 2) of rays, the inverse of `rays`; NaN behind the camera, beyond the fold."""
         x, y, z = np.atleast_2d(np.asarray(rays, dtype=float)).T
         with np.errstate(divide="ignore", invalid="ignore"):
             x, y = x / z, y / z
@@ -204,7 +204,7 @@ class Camera:
         return np.where(seen[:, None], middle + stretch[:, None] * np.stack([x, y], axis=1), np.nan)
 
     def _undistorted(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Normalised coordinates of pixels without distortion, (N,); NaN beyond the fold."""
+        """Undistorted normalised coordinates of pixels, (N,); NaN beyond the fold."""
         width, height = self.image_size_px
         x = (x_px - 0.5 * width) / self.focal_px
         y = (y_px - 0.5 * height) / self.focal_px
@@ -248,7 +248,7 @@ class Camera:
 
     @cached_property
     def _largest_distorted(self) -> float:
-        """The normalised radius in the image of `largest_radius`."""
+        """The distorted radius of `largest_radius`."""
         limit = self.largest_radius
         if not math.isfinite(limit):
             return math.inf
@@ -266,17 +266,17 @@ class Camera:
         return tuple((math.sin(angle), math.cos(angle)) for angle in angles)
 
     def _down(self, x: Numbers, y: Numbers) -> Numbers:
-        """How far rays through normalised coordinates sink for each unit along the axis."""
+        """Downward component of rays, per unit along the optical axis."""
         (_, _, r02), (_, _, r12), (_, _, r22) = self._rotation_rows
         return -(r02 * x + r12 * y + r22)
 
     def _level(self, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
-        """How far east and north such rays go."""
+        """East and north components of such rays."""
         (r00, r01, _), (r10, r11, _), (r20, r21, _) = self._rotation_rows
         return r00 * x + r10 * y + r20, r01 * x + r11 * y + r21
 
     def horizon_y_px(self, x_px: ArrayLike) -> FloatArray:
-        """The row of the horizon at given columns, (N,) float64; NaN where it cannot be seen."""
+        """Rows of the horizon at given columns, (N,) float64; NaN where it cannot be seen."""
         columns = np.atleast_1d(np.asarray(x_px, dtype=float))
         bearings = np.radians(self.heading_deg) + np.linspace(-1.4, 1.4, 721)
         directions = self.rotation @ np.stack(
@@ -296,7 +296,7 @@ class Camera:
 
 
 def rotation_matrix(vector: FloatArray) -> FloatArray:
-    """(3, 3) rotation from east, north, up to the camera's right, down and forward."""
+    """(3, 3) rotation matrix from east, north, up to the camera's right, down and forward."""
     pitch, roll, heading = vector[PITCH], vector[ROLL], vector[HEADING]
     sin_h, cos_h = np.sin(heading), np.cos(heading)
     sin_p, cos_p = np.sin(pitch), np.cos(pitch)
@@ -314,7 +314,7 @@ def _project(
     north_m: ArrayLike,
     above_m: ArrayLike,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixels (N, 2), depth (N,) and normalised radius squared (N,), wherever the points lie."""
+    """Pixels (N, 2), depth (N,) and squared normalised radius (N,), wherever the points lie."""
     rotation = rotation_matrix(vector)
     offset_east = np.asarray(east_m, dtype=float) - vector[EAST]
     offset_north = np.asarray(north_m, dtype=float) - vector[NORTH]
@@ -338,7 +338,7 @@ def project_with_jacobian(
     north_m: FloatArray,
     above_m: ArrayLike,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Pixels and their derivatives, for the fit and for the propagation of uncertainty.
+    """Pixels and their Jacobian, for the fit and for the propagation of uncertainty.
 
     Args:
         vector: (9,) parameter vector.
@@ -410,7 +410,7 @@ def project_with_jacobian(
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Places as seen from the camera, and how they move with all that is uncertain.
+    """Places as seen from the camera, with their derivatives by all that is uncertain.
 
     Attributes:
         distance_m: (N,) from the camera along the plane; NaN where there is no place.
@@ -431,7 +431,7 @@ class Located:
 def locate_with_jacobian(
     camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: Numbers, beyond_m: float
 ) -> Located:
-    """Places of pixels and their derivatives: `Camera.locate`, for the propagation of uncertainty.
+    """Places of pixels and their Jacobian: `Camera.locate`, for the propagation of uncertainty.
 
     The derivatives are closed forms of the inverse projection, so that no system of equations is
     solved for a pixel.
@@ -454,7 +454,7 @@ def locate_with_jacobian(
 def locate_one(
     camera: Camera, x_px: float, y_px: float, above_m: float, beyond_m: float
 ) -> tuple[float, float, float, FloatArray] | None:
-    """As `locate_with_jacobian`, for one pixel: the fields of `Located`, or None: no place."""
+    """As `locate_with_jacobian`, for one pixel: the fields of `Located`; None without a place."""
     try:
         x, y = camera._undistorted_one(x_px, y_px)
         down = camera._down(x, y)
@@ -476,7 +476,7 @@ def _derive(
     sqrt: Callable[[Any], Any],
     out: FloatArray,
 ) -> tuple[Numbers, Numbers, Numbers]:
-    """Distance, sine and cosine of `Located`; its derivatives go into ``out``.
+    """Distance, sine and cosine of `Located`, with their derivatives written to ``out``.
 
     Args:
         camera: The camera.

@@ -1,4 +1,4 @@
-"""Priors of a camera, its target and its sources of boxes, and the noise of a foot point."""
+"""Priors of the camera, its target and its sources of boxes, and the noise of a foot point."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ _NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class CameraPrior:
-    """What is believed of a camera before any data, as means and standard deviations.
+    """Prior of a camera, as means and standard deviations.
 
     Attributes:
-        height_m: Median; ``height_log_sigma`` is the standard deviation of its logarithm.
-        height_log_sigma: See ``height_m``.
+        height_m: Median; ``log_height_sigma`` is the standard deviation of its logarithm.
+        log_height_sigma: See ``height_m``.
         pitch_deg: Mean and standard deviation.
         roll_deg: Mean and standard deviation.
         focal_widths: Median focal length in image widths.
-        focal_log_sigma: Standard deviation of the logarithm of the focal length.
+        log_focal_sigma: Standard deviation of the logarithm of the focal length.
         k1_sigma: About zero.
         k2_sigma: About zero.
         half_length_m: Mean and standard deviation; of the target.
@@ -62,11 +62,11 @@ class CameraPrior:
     """
 
     height_m: float = 5.0
-    height_log_sigma: float = 0.7
+    log_height_sigma: float = 0.7
     pitch_deg: tuple[float, float] = (5.0, 15.0)
     roll_deg: tuple[float, float] = (0.0, 3.0)
     focal_widths: float = 0.8
-    focal_log_sigma: float = 0.3
+    log_focal_sigma: float = 0.3
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
     half_length_m: tuple[float, float] = (0.0, 2.0)
@@ -104,11 +104,11 @@ class CameraPrior:
         )
         sigma[CAMERA] = camera_vector(
             {
-                LOG_HEIGHT: self.height_log_sigma,
+                LOG_HEIGHT: self.log_height_sigma,
                 PITCH: np.radians(self.pitch_deg[1]),
                 ROLL: np.radians(self.roll_deg[1]),
                 HEADING: np.inf,
-                LOG_FOCAL: self.focal_log_sigma,
+                LOG_FOCAL: self.log_focal_sigma,
                 K1: self.k1_sigma,
                 K2: self.k2_sigma,
             }
@@ -124,8 +124,8 @@ class CameraPrior:
 
 
 @dataclass(frozen=True)
-class SourceBelief:
-    """What is believed of one source of boxes before any data, instead of what a prior says of all.
+class SourcePrior:
+    """Prior of the lower-edge bias of one source, instead of that of `CameraPrior`.
 
     Attributes:
         bias_px: Mean and standard deviation.
@@ -138,17 +138,17 @@ class SourceBelief:
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """Standard deviations of a box's foot, in pixels and in metres at the target.
+    """Standard deviations of a foot point, in pixels and in metres at the target.
 
     Attributes:
         row_px: Of the row, pixels.
         row_m: Of the row, metres of height at the target.
         column_px: Of the column, pixels.
-        place_m: Of the place itself, metres east and metres north, anew for each box: how far the
-            log is off, and the middle of the box off the middle of the hull. The two cannot be
+        place_m: Of the place itself, metres east and metres north, anew for each box: error of the
+            log, and of the middle of the box as the middle of the hull. The two cannot be
             told apart.
-        drift_m: Of the part of the log's error that lasts, metres east and metres north.
-        drift_s: How long it lasts: it decays as ``exp(-Δt / drift_s)``.
+        correlated_m: Of the log's correlated error, metres east and metres north.
+        correlation_time_s: Its correlation time: it decays as ``exp(-Δt / correlation_time_s)``.
         heave_m: Of the camera's height, which moves all rows together for about a second: of a
             camera on a vessel.
         middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
@@ -159,13 +159,13 @@ class PixelNoise:
     row_m: float = 0.2
     column_px: float = 3.0
     place_m: float = 1.0
-    drift_m: float = 1.0
-    drift_s: float = 20.0
+    correlated_m: float = 1.0
+    correlation_time_s: float = 20.0
     heave_m: float = 0.0
     middle_m: float = 0.0
 
     def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Variances of a foot's column and row, square pixels, each (N,), without the place's.
+        """Variances of column and row, square pixels, each (N,), without the place's.
 
         Args:
             squared_pixels_per_metre: (N,) the square of how large a metre at the target looks.
@@ -177,14 +177,14 @@ class PixelNoise:
         )
 
     def scaled(self, factor: float) -> PixelNoise:
-        """The same noise, wider by a factor."""
+        """The same noise, scaled by a factor."""
         return PixelNoise(
             self.row_px * factor,
             self.row_m * factor,
             self.column_px * factor,
             self.place_m * factor,
-            self.drift_m * factor,
-            self.drift_s,
+            self.correlated_m * factor,
+            self.correlation_time_s,
             self.heave_m * factor,
             self.middle_m,
         )

@@ -35,7 +35,7 @@ _MOST_APART = 0.3
 _NOISE_PX = 0.3
 
 
-# Where strips disagree more than this about the way across, they show nothing that stands still.
+# Where strips disagree more than this about the way across, they show no static scene.
 _LANDMARKS_APART_PX = 1.5
 
 
@@ -46,14 +46,14 @@ NOWHERE = np.zeros(2, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """What stands still before a camera, in strips along the horizon.
+class ReferenceView:
+    """Patches of the static scene along the horizon, for registration.
 
     Attributes:
         strips: (S, H, W) uint8, grey, from left to right.
         top_px: (S,) int64, rows of their upper edges in the picture.
         left_px: (S,) int64, columns of their left edges.
-        landmarks: Whether anything in them stands still but the horizon.
+        landmarks: Whether they show anything static but the horizon.
 
     Raises:
         InputError: The columns do not fit together.
@@ -71,14 +71,14 @@ class View:
 
     @property
     def middle_px(self) -> FloatArray:
-        """(S, 2) the middle of each strip, x and y."""
+        """(S, 2) centre of each patch, x and y."""
         height, width = self.strips.shape[1:]
         return np.stack([self.left_px + 0.5 * width, self.top_px + 0.5 * height], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """By how much what stands still lies elsewhere in one view than in another.
+    """Patch displacements between two views of the static scene.
 
     Attributes:
         at_px: (S, 2) places in the first, x and y.
@@ -91,8 +91,8 @@ class Displacement:
     landmarks: bool
 
 
-def displacement(reference: View, other: View) -> Displacement | None:
-    """How the camera of one view lies against that of another; None where that cannot be told.
+def displacement(reference: ReferenceView, other: ReferenceView) -> Displacement | None:
+    """Register one view against another; None where they cannot be registered.
 
     Args:
         reference: Of one time.
@@ -121,7 +121,7 @@ def displacement(reference: View, other: View) -> Displacement | None:
 def measure_strips(
     reference: NDArray[np.uint8], strips: NDArray[np.uint8], coarse_px: IntArray
 ) -> FloatArray:
-    """By how many pixels strips have moved.
+    """Displacements of patches, pixels, by phase correlation.
 
     Args:
         reference: (S, H, W).
@@ -148,7 +148,7 @@ def measure_strips(
 
 
 def _rows_moved(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
-    """By how many rows the edges that run across have gone down."""
+    """Vertical displacement of horizontal edges, rows downwards."""
     edges = [
         np.diff(gaussian_filter1d(strip.mean(axis=1, dtype=np.float64), _ROWS_SMOOTH_PX))
         for strip in (one, other)
@@ -166,7 +166,7 @@ def _rows_moved(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
 
 
 def coarse_shift(reference: NDArray[np.uint8], strips: NDArray[np.uint8]) -> tuple[int, int]:
-    """Whole pixels to the right and down, from all strips side by side, seen from afar."""
+    """Coarse shift in whole pixels, right and down, of all patches side by side."""
     small = []
     for part in (reference, strips):
         wide = np.concatenate(list(part), axis=1)
@@ -178,7 +178,7 @@ def coarse_shift(reference: NDArray[np.uint8], strips: NDArray[np.uint8]) -> tup
 
 
 def consensus(moved: FloatArray) -> tuple[float, float, float]:
-    """Shift across and down, and how much further down over the width, of strips (S, 2)."""
+    """Median shift across and down, and slope of the shift down, of patches (S, 2)."""
     across, down = np.median(moved, axis=0)
     at = (np.arange(len(moved)) + 0.5) / len(moved)
     i, j = np.triu_indices(len(moved), 1)
@@ -187,26 +187,26 @@ def consensus(moved: FloatArray) -> tuple[float, float, float]:
 
 
 def rigid_shifts(across: float, down: float, slope: float, count: int) -> FloatArray:
-    """(S, 2) the shifts of strips of which all tell the same turn."""
+    """(S, 2) the shifts of patches under one rigid rotation."""
     at = (np.arange(count) + 0.5) / count - 0.5
     return np.stack([np.full(count, across), down + slope * at], axis=1)
 
 
 def largest_shift(across: float, down: float, slope: float) -> float:
-    """The largest displacement, pixels, of any strip under a rigid shift."""
+    """The largest displacement, pixels, of any patch under a rigid shift."""
     return float(max(np.hypot(across, down), 0.5 * abs(slope)))
 
 
 def agree(
     moved: FloatArray, across: float, down: float, slope: float, noise_px: float = _NOISE_PX
 ) -> bool:
-    """Whether shifts (T, S, 2) of strips are those of one turn."""
+    """Whether shifts (T, S, 2) of patches agree with one rotation."""
     apart = moved - rigid_shifts(across, down, slope, moved.shape[1])
     most = max(noise_px, _MOST_APART * largest_shift(across, down, slope))
     return bool(np.median(np.hypot(apart[..., 0], apart[..., 1])) <= most)
 
 
 def scattered(moved: FloatArray) -> bool:
-    """Whether strips (T, S, 2 or more) tell nothing of the way across."""
+    """Whether displacements of patches (T, S, 2 or more) across are scattered: no landmarks."""
     across = moved[..., 0]
     return bool(np.median(np.abs(across - np.median(across))) > _LANDMARKS_APART_PX)

@@ -1,9 +1,9 @@
-r"""Boxes of a camera that was turned for good, as if it had not been.
+r"""Camera rotation between static intervals, estimated and compensated in boxes.
 
-A bumped camera stands as well as before, only otherwise. What stands still before it tells how: a
-turn about the camera's axes takes each of its places to where it is seen now, through the lens.
-The reverse turn takes boxes to where they would be for the camera that the model knows, as swell is
-taken off (`sightline.camera.stabilisation`). What is not known of the turn is an error that a
+A bumped camera stands as well as before, only otherwise. The static scene tells how: a rotation
+about the camera's axes takes each of its places to where it is seen now, through the lens. The
+reverse rotation takes boxes to where they would be for the camera that the model knows, as swell is
+taken off (`sightline.camera.stabilisation`). What is not known of the rotation is an error that a
 target has in common with itself a moment later.
 """
 
@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import Displacement, View, displacement
+from sightline.camera.registration import Displacement, ReferenceView, displacement
 from sightline.camera.static_intervals import least_turn_deg
 from sightline.types import BoolArray, FloatArray, Positions, rfc3339
 
@@ -38,21 +38,23 @@ _NO_SUCH_TURN_PX = 1e4
 
 @dataclass(frozen=True, eq=False)
 class CameraRotation:
-    """How a camera lay in the K stances of a recording, against the camera of a model.
+    """Camera rotation in the K static intervals of a recording, against the model's camera.
 
-    A turn is a rotation vector: by it, in radians, what stands still has turned about the camera's
+    It is a rotation vector: by it, in radians, the static scene has turned about the camera's
     axes to the right, downwards and forward.
 
     Attributes:
-        before_utc_s: (K,) time of the last look before the stance; minus infinity for the first.
-        since_utc_s: (K,) time of the first look of the stance; minus infinity for the first.
+        before_utc_s: (K,) time of the last look before the static interval; minus infinity for the
+            first.
+        since_utc_s: (K,) time of the first look of the static interval; minus infinity for the
+            first.
         rotation_rad: (K, 3).
         covariance_rad2: (K, 3, 3).
-        heading_known: (K,) bool, whether the turn about the vertical was seen.
+        heading_known: (K,) bool, whether the rotation about the vertical was seen.
         camera: The camera of the model.
-        focal_log_sigma: How unsure the logarithm of its focal length is. It makes the angles of a
-            turn unsure, and not where levelled boxes lie: the same lens measures the turn and takes
-            it off.
+        log_focal_sigma: Standard deviation of the logarithm of its focal length. It makes the
+            angles of a rotation unsure, and not where compensated boxes lie: the same lens measures
+            the rotation and takes it off.
     """
 
     before_utc_s: FloatArray
@@ -61,39 +63,39 @@ class CameraRotation:
     covariance_rad2: FloatArray
     heading_known: BoolArray
     camera: Camera
-    focal_log_sigma: float = 0.0
+    log_focal_sigma: float = 0.0
 
     @classmethod
     def of(
         cls,
-        stances: Sequence[Stance],
+        static_intervals: Sequence[StaticInterval],
         camera: Camera,
-        reference: View | None = None,
+        reference: ReferenceView | None = None,
         *,
-        focal_log_sigma: float = 0.0,
+        log_focal_sigma: float = 0.0,
     ) -> CameraRotation | None:
-        """The turns of a recording; None where the camera was not turned, or nothing tells.
+        """The camera rotation of a recording; None where there is none, or it cannot be estimated.
 
         Args:
-            stances: Of the recording.
+            static_intervals: Of the recording.
             camera: Of the model.
             reference: What the camera of the model saw; None, or not to be compared: the first
-                stance is taken to be the model's.
-            focal_log_sigma: Of the camera.
+                static interval is taken to be the model's.
+            log_focal_sigma: Of the camera.
         """
-        if not stances:
+        if not static_intervals:
             return None
-        first = None if reference is None else _turn(reference, stances[0].view, camera)
+        first = None if reference is None else _turn(reference, static_intervals[0].view, camera)
         if reference is None or first is None:
-            reference = stances[0].view
+            reference = static_intervals[0].view
         rotations, covariances, known = [np.zeros(3)], [np.zeros((3, 3))], [True]
         turned = False
-        for k, stance in enumerate(stances):
-            told = first if k == 0 else _turn(reference, stance.view, camera)
+        for k, static_interval in enumerate(static_intervals):
+            told = first if k == 0 else _turn(reference, static_interval.view, camera)
             start, doubt = np.zeros(3), np.zeros((3, 3))
             if told is None and k:
-                # Too far from the model's to be compared: from one stance to the next.
-                told = _turn(stances[k - 1].view, stance.view, camera)
+                # Too far from the model's to be compared: from one static interval to the next.
+                told = _turn(static_intervals[k - 1].view, static_interval.view, camera)
                 start, doubt = rotations[k], covariances[k]
             if told is None:
                 # It was turned, and nobody knows how; the first is taken for the model's.
@@ -112,13 +114,17 @@ class CameraRotation:
         if not turned:
             return None
         return cls(
-            before_utc_s=np.array([stance.before_utc_s for stance in stances]),
-            since_utc_s=np.array([stance.since_utc_s for stance in stances]),
+            before_utc_s=np.array(
+                [static_interval.before_utc_s for static_interval in static_intervals]
+            ),
+            since_utc_s=np.array(
+                [static_interval.since_utc_s for static_interval in static_intervals]
+            ),
             rotation_rad=np.array(rotations[1:]),
             covariance_rad2=np.array(covariances[1:]),
             heading_known=np.array(known[1:]),
             camera=camera,
-            focal_log_sigma=focal_log_sigma,
+            log_focal_sigma=log_focal_sigma,
         )
 
     def __len__(self) -> int:
@@ -126,7 +132,7 @@ class CameraRotation:
 
     @property
     def angles_deg(self) -> FloatArray:
-        """(K, 3) turns of the camera: heading to the right, pitch downwards, roll clockwise.
+        """(K, 3) rotation angles: heading to the right, pitch downwards, roll clockwise.
 
         A roll is positive where the right end of the horizon is lower than before.
         """
@@ -137,7 +143,7 @@ class CameraRotation:
         """(K, 3) standard deviations of `angles_deg`."""
         variance = np.diagonal(self.covariance_rad2, axis1=1, axis2=2)[:, [1, 0, 2]]
         # A roll is an angle in the picture itself.
-        lens = self.focal_log_sigma * self.angles_deg * [1.0, 1.0, 0.0]
+        lens = self.log_focal_sigma * self.angles_deg * [1.0, 1.0, 0.0]
         return np.hypot(np.degrees(np.sqrt(variance)), lens)
 
     def at(self, time_utc_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -146,16 +152,16 @@ class CameraRotation:
         NaN between the last look before a turn and the first one after it, when nobody knows how
         the camera lay.
         """
-        stance = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
-        after = np.append(self.before_utc_s[1:], np.inf)[stance]
+        static_interval = np.searchsorted(self.since_utc_s[1:], time_utc_s, side="right")
+        after = np.append(self.before_utc_s[1:], np.inf)[static_interval]
         sure = time_utc_s <= after
         return (
-            np.where(sure[:, None], self.rotation_rad[stance], np.nan),
-            self.covariance_rad2[stance],
+            np.where(sure[:, None], self.rotation_rad[static_interval], np.nan),
+            self.covariance_rad2[static_interval],
         )
 
     def sentences(self) -> tuple[str, ...]:
-        """The turns in words, each against the camera of the model."""
+        """The rotations in words, each against the camera of the model."""
         out = []
         for k, (angles, sigmas) in enumerate(zip(self.angles_deg, self.sigma_deg, strict=True)):
             as_model = self._is_small(k)
@@ -183,7 +189,7 @@ class CameraRotation:
         return tuple(out)
 
     def _is_small(self, k: int) -> bool:
-        """Whether a stance is that of the model, as far as turns count."""
+        """Whether a static interval's rotation against the model is negligible."""
         rotation, covariance = self.rotation_rad[k], self.covariance_rad2[k]
         told = np.sqrt(covariance[0, 0]) < 0.5 * np.radians(_UNSEEN_DEG)
         return bool(told and not _is_turn(rotation, covariance, self.camera))
@@ -192,7 +198,7 @@ class CameraRotation:
 def compensate_rotation(
     xyxy_px: FloatArray, rotation_rad: FloatArray, camera: Camera
 ) -> tuple[FloatArray, BoolArray]:
-    """Boxes as a camera would have seen them that was not rotated.
+    """Compensate the camera rotation in boxes.
 
     Args:
         xyxy_px: (N, 4) boxes.
@@ -218,7 +224,7 @@ def widen(
     camera: Camera,
     above_m: ArrayLike = 0.0,
 ) -> Positions:
-    """Positions of compensated boxes, with what is not known of the rotation.
+    """Add the uncertainty of the rotation to the covariances of compensated boxes.
 
     Args:
         positions: N rows, in the model's plane.
@@ -244,7 +250,7 @@ def widen(
 
 
 def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bool:
-    """Whether a turn moves what is seen by enough, and is sure enough, to be one."""
+    """Whether a rotation is large and significant enough to count."""
     half_width = 0.5 * camera.image_size_px[0] / camera.focal_px
     moved_rad = max(float(np.hypot(*rotation[:2])), half_width * abs(float(rotation[2])))
     doubt = np.diag(covariance)
@@ -253,8 +259,8 @@ def _is_turn(rotation: FloatArray, covariance: FloatArray, camera: Camera) -> bo
     return bool(moved_rad >= np.radians(least_turn_deg(camera.focal_px)) and sure.any())
 
 
-def seen_again(reference: View, other: View, camera: Camera) -> bool:
-    """Whether one view shows what stood still in another, wherever it lies in it now.
+def seen_again(reference: ReferenceView, other: ReferenceView, camera: Camera) -> bool:
+    """Whether one view shows the static scene of another, wherever it lies in it now.
 
     Args:
         reference: Of one time.
@@ -265,16 +271,16 @@ def seen_again(reference: View, other: View, camera: Camera) -> bool:
 
 
 def _turn(
-    reference: View, other: View, camera: Camera
+    reference: ReferenceView, other: ReferenceView, camera: Camera
 ) -> tuple[FloatArray, FloatArray, bool] | None:
-    """As `_rotation`, from one view to another, and whether landmarks tell it."""
+    """As `_rotation`, from one view to another, and whether landmarks determine it."""
     moved = displacement(reference, other)
     told = None if moved is None else _rotation(moved, camera)
     return None if moved is None or told is None else (*told, moved.landmarks)
 
 
 def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArray] | None:
-    """The turn (3,) of what stands still that moves places as was measured, and its covariance.
+    """The rotation (3,) of the static scene that fits the displacements, and its covariance.
 
     None where the lens has no rays for enough of the places, or no turn explains what was measured:
     then the two views do not show the same.
@@ -289,20 +295,20 @@ def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArr
     rays, there = rays[usable], there[usable]
     unseen = np.radians(_UNSEEN_DEG)
 
-    def off(turn: FloatArray) -> FloatArray:
+    def residual(turn: FloatArray) -> FloatArray:
         seen = camera.pixels(Rotation.from_rotvec(turn).apply(rays))
         left = np.nan_to_num((seen - there)[:, axes].ravel(), nan=_NO_SUCH_TURN_PX)
         return left if moved.landmarks else np.append(left, _LEAST_SIGMA_PX * turn[1] / unseen)
 
     # The first step is by a degree at most; further off, rays may leave the picture.
     found = least_squares(
-        off, np.zeros(3), loss="soft_l1", f_scale=2.0 * _LEAST_SIGMA_PX, x_scale=unseen
+        residual, np.zeros(3), loss="soft_l1", f_scale=2.0 * _LEAST_SIGMA_PX, x_scale=unseen
     )
-    left = off(found.x)
+    left = residual(found.x)
     sigma_px = max(_LEAST_SIGMA_PX, 1.4826 * float(np.median(np.abs(left))))
     if sigma_px > _MOST_SIGMA_PX:
         return None
-    design = _slopes(off, found.x)
+    design = _jacobian(residual, found.x)
     scale = np.full(len(left), sigma_px)
     if not moved.landmarks:
         scale[-1] = _LEAST_SIGMA_PX / max(1.0, float(np.hypot(*found.x[[0, 2]])) / unseen)
@@ -311,23 +317,28 @@ def _rotation(moved: Displacement, camera: Camera) -> tuple[FloatArray, FloatArr
     return np.asarray(found.x), np.asarray(np.linalg.inv(known))
 
 
-def _slopes(off: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatArray:
+def _jacobian(residual: Callable[[FloatArray], FloatArray], turn: FloatArray) -> FloatArray:
     step = 1e-5
     return np.stack(
-        [(off(turn + step * axis) - off(turn - step * axis)) / (2.0 * step) for axis in np.eye(3)],
+        [
+            (residual(turn + step * axis) - residual(turn - step * axis)) / (2.0 * step)
+            for axis in np.eye(3)
+        ],
         axis=1,
     )
 
 
-def reference_view(stances: Mapping[str, Sequence[Stance]]) -> View | None:
-    """The view with which most others can be compared; the latest that half of them can be.
+def reference_view(
+    static_intervals: Mapping[str, Sequence[StaticInterval]],
+) -> ReferenceView | None:
+    """The view that most others can be registered to; the latest that half of them can be.
 
     Args:
-        stances: By recording.
+        static_intervals: By recording.
     """
-    ordered = sorted(stances.values(), key=_when)
-    views = [stance.view for one in ordered for stance in one][::-1]
-    best: tuple[int, View] | None = None
+    ordered = sorted(static_intervals.values(), key=_when)
+    views = [static_interval.view for one in ordered for static_interval in one][::-1]
+    best: tuple[int, ReferenceView] | None = None
     for view in views:
         others = sum(displacement(view, other) is not None for other in views)
         if others >= _ENOUGH * len(views):
@@ -337,5 +348,5 @@ def reference_view(stances: Mapping[str, Sequence[Stance]]) -> View | None:
     return None if best is None else best[1]
 
 
-def _when(stances: Sequence[Stance]) -> float:
-    return stances[-1].since_utc_s
+def _when(static_intervals: Sequence[StaticInterval]) -> float:
+    return static_intervals[-1].since_utc_s

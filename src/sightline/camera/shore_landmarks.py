@@ -1,9 +1,9 @@
-"""What the edge of the water tells of the camera, without anybody knowing where that edge is.
+"""Landmarks along a shoreline of unknown place, as constraints on the camera.
 
 The far shore lies beyond the furthest place on the water that a log of the scene visited in that
 direction, and no further than the earth's curve lets one see. So it appears below the horizon by
 less than a place there would, and the pitch and the roll of the camera follow within a fraction of
-a pixel to a few. Boxes alone cannot tell them from the habit of a detector whose boxes end high.
+a pixel to a few. Boxes alone cannot tell them from the bias of a detector whose boxes end high.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _EARTH_RADIUS_M = 7.43e6
 def shore_landmarks(
     edges: Sequence[WaterEdge], camera: Camera, afloat_m: Iterable[FloatArray]
 ) -> Landmarks:
-    """Points of the edge of the water as landmarks for a fit.
+    """Points of the shoreline as landmarks for a fit.
 
     Args:
         edges: In the pictures of one camera. They are of one shore, and what nobody knows of it is
@@ -79,7 +79,7 @@ def shore_landmarks(
 
 
 def _water_reaches(distance_m: FloatArray) -> float:
-    """How far there is water without land before it, as far as is known, metres.
+    """Range of open water without land before it, as far as is known, metres.
 
     Args:
         distance_m: (N,) of places on the water in one direction.

@@ -1,7 +1,7 @@
-"""Where the water ends in the picture: the far shore, or the horizon itself.
+"""Shoreline detection: the far shore or the horizon, where the water ends in the image.
 
-In the median of some pictures of a camera that stands still the waves average out, and what stands
-still stays sharp. So above the edge of the water the picture is much sharper than below it. The
+In the median of some frames of a static camera the waves average out, and the static scene
+stays sharp. So above the edge of the water the picture is much sharper than below it. The
 edge runs along the curve that the horizon would have, higher or lower and somewhat tilted; boats,
 posts and quays hide it in some columns, and the median over the columns does not see them.
 """
@@ -28,12 +28,12 @@ _LEAST_SHARE = 0.6
 
 @dataclass(frozen=True, eq=False)
 class WaterEdge:
-    """Where the water ends.
+    """The far edge of the water in the image: shoreline or horizon.
 
     Attributes:
         column_px: (N,) float64.
         row_px: (N,) float64.
-        share: Of the columns looked at, how many agree, 0 to 1.
+        share: Share of the columns examined that agree, 0 to 1.
     """
 
     column_px: FloatArray
@@ -42,13 +42,13 @@ class WaterEdge:
 
 
 class StillPicture:
-    """The median of some pictures: waves average out in it, and what stands still stays sharp."""
+    """The median of several frames: waves average out, the static scene stays sharp."""
 
     def __init__(self, every: int = 1, most: int = 25) -> None:
-        """Begin without a picture.
+        """Begin without a frame.
 
         Args:
-            every: One in so many pictures is taken, from the first one on.
+            every: One in so many frames is taken, from the first one on.
             most: So many are taken.
         """
         self._every, self._most = every, most
@@ -57,11 +57,11 @@ class StillPicture:
 
     @property
     def seen_enough(self) -> bool:
-        """Whether further pictures change nothing."""
+        """Whether further frames change nothing."""
         return len(self._grey) == self._most
 
     def observe(self, frame: Frame) -> None:
-        """Take the next picture, where it is its turn; not one of another size than the first."""
+        """Add the next frame, where it is its turn; not one of another size than the first."""
         due = self._passed % self._every == 0
         self._passed += 1
         if self.seen_enough or not due:
@@ -71,7 +71,7 @@ class StillPicture:
             self._grey.append(grey)
 
     def picture(self) -> NDArray[np.uint8]:
-        """(H, W) grey: the median of what was taken."""
+        """(H, W) grey: the median frame."""
         # Row by row: the whole stack would be copied to be put in order.
         rows = zip(*self._grey, strict=True)
         return np.stack([np.median(np.stack(row), axis=0).astype(np.uint8) for row in rows])
@@ -80,7 +80,7 @@ class StillPicture:
 def find_water_edge(
     still: NDArray[np.uint8], near_row_px: FloatArray, *, reach_px: float = 45.0
 ) -> WaterEdge | None:
-    """Look for the edge of the water near where it is expected.
+    """Find the shoreline near where it is expected.
 
     Args:
         still: (H, W) grey, as `StillPicture` makes it.
@@ -145,7 +145,7 @@ def find_water_edge(
 
 
 def _texture(still: NDArray[np.uint8]) -> FloatArray:
-    """(H, W / 8) how steep the picture is, grey values a pixel, mean over eight columns."""
+    """(H, W / 8) gradient magnitude, grey values a pixel, mean over eight columns."""
     image = cv2.GaussianBlur(still.astype(np.float32), (0, 0), _BLUR_PX)
     steep = np.abs(cv2.Sobel(image, cv2.CV_32F, 0, 1)) + np.abs(cv2.Sobel(image, cv2.CV_32F, 1, 0))
     columns = steep.shape[1] // _COLUMN_PX

@@ -1,9 +1,10 @@
-"""Boxes of a camera that rolls and pitches, as if it had not.
+"""Boxes stabilised by the horizon, of a camera that rolls and pitches.
 
-The horizon says how the camera lay in each frame. The two points where it leaves the image span,
-with the lens, a plane whose normal points up; the least rotation that brings this direction to
-where it is in the reference also brings every ray to where it would have been. So a box is moved
-as its foot is. Turns about the vertical do not show in the horizon: those are the heading's.
+The horizon shows the pitch and roll of the camera in each frame. The two points where it leaves the
+image span, with the lens, a plane whose normal points up; the least rotation that brings this
+direction to where it is in the reference also brings every ray to where it would have been. So a
+box is moved as its foot is. Rotations about the vertical do not show in the horizon: those are the
+heading's.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ def stabilise(
     reference_px: tuple[float, float],
     camera: Camera,
 ) -> tuple[FloatArray, BoolArray]:
-    """Move boxes to where they would be if the horizon lay where it lies in the reference.
+    """Stabilise boxes by rotating their horizon to the reference horizon.
 
     Args:
         xyxy_px: (N, 4) boxes.
@@ -53,7 +54,7 @@ def stabilise(
 
 
 def nominal_camera(image_size_px: tuple[int, int]) -> Camera:
-    """An ordinary camera without distortion, before anything is known of the lens."""
+    """A nominal camera without distortion, before anything is known of the lens."""
     prior = CameraPrior()
     return Camera(
         height_m=prior.height_m,
@@ -70,7 +71,7 @@ def nominal_camera(image_size_px: tuple[int, int]) -> Camera:
 
 
 def horizons_at(horizons: Horizons, time_utc_s: FloatArray) -> FloatArray:
-    """(N, 2) rows of the horizon at times, interpolated; NaN between horizons too far apart.
+    """(N, 2) rows of the horizon, interpolated in time; NaN between horizons too far apart.
 
     Args:
         horizons: Of a recording.
@@ -94,7 +95,7 @@ def horizons_at(horizons: Horizons, time_utc_s: FloatArray) -> FloatArray:
 
 
 def _up(camera: Camera, lines_px: FloatArray) -> FloatArray:
-    """(N, 3) unit vectors that point up, in the camera's axes, from rows (N, 2) of the horizon."""
+    """(N, 3) vertical unit vectors in the camera's axes, from rows (N, 2) of the horizon."""
     rows = lines_px[:, :1] + (lines_px[:, 1:] - lines_px[:, :1]) * _ON_CURVE
     left, right = (
         camera.rays(np.stack([np.full(len(rows), share * camera.image_size_px[0]), row], axis=1))

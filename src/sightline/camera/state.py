@@ -1,6 +1,6 @@
-"""How the camera lay, and how high the water stood, in the moment of each box.
+"""Camera state of each box: rotation, horizon and water level.
 
-The state travels with the boxes: what looks at frames, what finds boxes in them and what places
+The state travels with the boxes: what observes frames, what finds boxes in them and what places
 these may each run ahead of the other by as many frames as it likes.
 """
 
@@ -18,12 +18,12 @@ from sightline.water import WaterLevels
 
 @dataclass(frozen=True, eq=False)
 class CameraState(Columns):
-    """State of the camera and the water, one row a box.
+    """Camera rotation, horizon and water level, one row a box.
 
     Attributes:
         horizon_px: (N, 2) float64, rows of the horizon at the left and the right edge of the image;
             NaN where it was not seen.
-        rotation_rad: (N, 3) float64, rotation vector by which what stands still has turned about
+        rotation_rad: (N, 3) float64, rotation vector by which the static scene has turned about
             the camera's axes since the model's; zero where it lay as for the model, NaN where
             nobody knows how it lay.
         rotation_covariance_rad2: (N, 3, 3) float64.
@@ -40,7 +40,7 @@ class CameraState(Columns):
 
     @classmethod
     def nominal(cls, n: int) -> CameraState:
-        """Of N boxes: the camera lay as for the model, and nobody says how high the water stood."""
+        """State of N boxes without rotation, their horizon and water level unknown."""
         return cls(
             np.full((n, 2), np.nan), np.zeros((n, 3)), np.zeros((n, 3, 3)), np.full(n, np.nan)
         )
@@ -51,7 +51,7 @@ class CameraState(Columns):
 
 @dataclass(frozen=True, eq=False)
 class ObservedBoxes(BoxesWith):
-    """Boxes with the state of the camera in their moments.
+    """Boxes with the camera state at their times.
 
     Attributes:
         state: N rows.
@@ -64,7 +64,7 @@ class ObservedBoxes(BoxesWith):
 
     @classmethod
     def of_frame(cls, boxes: Boxes, frame: Frame) -> ObservedBoxes:
-        """The boxes of a frame, with where the horizon lies in it, if it was looked for."""
+        """The boxes of a frame, with its horizon where it was detected."""
         state = CameraState.nominal(len(boxes))
         if frame.horizon_px is not None:
             state.horizon_px[:] = frame.horizon_px
@@ -73,12 +73,12 @@ class ObservedBoxes(BoxesWith):
 
 @dataclass(frozen=True, eq=False)
 class CameraHistory:
-    """How a camera lay over a recording, and how high the water stood.
+    """Camera rotation, horizon and water level over a recording.
 
     Attributes:
-        rotation: How the camera lay against that of the model; None: as for it.
+        rotation: Camera rotation against the model's camera; None: no rotation.
         horizons: Where the horizon lay, where a table tells.
-        water: How high the water stood; None where it is taken to stand still.
+        water: Water levels; None where the level is taken as constant.
     """
 
     rotation: CameraRotation | None = None
@@ -86,7 +86,7 @@ class CameraHistory:
     water: WaterLevels | None = None
 
     def observed(self, boxes: Boxes) -> ObservedBoxes:
-        """Boxes with the state of the camera at their times.
+        """Boxes with the camera state at their times.
 
         Args:
             boxes: With their times; what they know of the horizon already is kept.

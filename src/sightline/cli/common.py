@@ -147,10 +147,10 @@ def describe(report: Report, what: str) -> str:
 
     ape, cover = report.ape, report.coverage
     with_log = ""
-    if cover.log_sigma_m > 0.0:
+    if cover.reference_sigma_m > 0.0:
         with_log = (
             f" ({percent(cover.p95_with_log)} with the log's own error of "
-            f"{number(cover.log_sigma_m)} m)"
+            f"{number(cover.reference_sigma_m)} m)"
         )
     return (
         f"{what}: {ape.n} pairs, RMSE {number(ape.rmse)} m, median {number(ape.median)} m, "

@@ -7,12 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import (
-    folder_for_results,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import folder_for_results, progress, say, write_result
 from sightline.cli.options import JsonOption, SeedOption
 from sightline.cli.run import result_dict, tell_result
 

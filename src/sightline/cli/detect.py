@@ -8,13 +8,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import (
-    check_model_is_there,
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import check_model_is_there, keep_apart, progress, say, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR
 from sightline.cli.options import (
     ClassesOption,

@@ -128,12 +128,12 @@ def detector_options(
     """
     if views is not None and views not in VIEWS:
         raise unknown_name("kind of views", views, VIEWS)
-    from sightline.detection import DetectorOptions, ViewSettings
+    from sightline.detection import DetectorOptions, TilingSettings
 
     return DetectorOptions(
         decoder=decoder,
         classes=parse_names(classes) if classes is not None else None,
         threshold=threshold,
         provider=provider,
-        views=ViewSettings(kind=views) if views is not None else None,
+        views=TilingSettings(kind=views) if views is not None else None,
     )

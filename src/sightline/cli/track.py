@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.common import (
-    check_model_is_there,
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import check_model_is_there, keep_apart, progress, say, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
     ClockOption,
@@ -88,9 +82,13 @@ def track(
             "their own beside each FILE, NAME-forecast.",
         ),
     ] = None,
-    correct_turns: Annotated[
+    compensate_rotation: Annotated[
         bool,
-        typer.Option(help="Make up for turns of the camera that its pictures show."),
+        typer.Option(
+            "--compensate-rotation/--no-compensate-rotation",
+            "--correct-turns/--no-correct-turns",
+            help="Compensate camera rotation seen in the video.",
+        ),
     ] = True,
     json: JsonOption = None,
 ) -> None:
@@ -109,7 +107,7 @@ def track(
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video, folder or table")
     settings = TrackSettings(
-        trajectory=trajectory, interval_s=interval_s, correct_turns=correct_turns
+        trajectory=trajectory, interval_s=interval_s, compensate_rotation=compensate_rotation
     )
     if forecast_s is not None:
         settings = replace(settings, forecast_s=forecast_s)
@@ -124,10 +122,10 @@ def track(
     count, points = 0, 0
     with ExitStack() as stack, progress() as tell:
         writers = [stack.enter_context(formats.track_writer(path)) for path in output]
-        prophets = [stack.enter_context(formats.track_writer(path)) for path in ahead]
+        forecast_writers = [stack.enter_context(formats.track_writer(path)) for path in ahead]
 
-        def foretell(forecast: Track) -> None:
-            for writer in prophets:
+        def write_forecast(forecast: Track) -> None:
+            for writer in forecast_writers:
                 writer.add(forecast)
 
         for made in iter_tracks(
@@ -141,7 +139,7 @@ def track(
             water_levels=water,
             settings=settings,
             progress=tell,
-            forecasts=foretell if prophets else None,
+            forecasts=write_forecast if forecast_writers else None,
         ):
             count, points = count + 1, points + len(made)
             for writer in writers:

@@ -1,4 +1,4 @@
-"""Stage 1: frames in, boxes out."""
+"""Stage 1: detection, frames in and boxes out."""
 
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
@@ -11,7 +11,7 @@ from sightline.detection.registry import (
     detector_by_name,
 )
 from sightline.detection.run import FrameObserver, detect, observe
-from sightline.detection.tiling import VIEWS, View, ViewSettings
+from sightline.detection.tiling import VIEWS, Tile, TilingSettings
 
 __all__ = [
     "DEFAULT_DETECTOR",
@@ -24,8 +24,8 @@ __all__ = [
     "MotionDetector",
     "MotionSettings",
     "OnnxDetector",
-    "View",
-    "ViewSettings",
+    "Tile",
+    "TilingSettings",
     "check_detector_name",
     "detect",
     "detector_by_name",

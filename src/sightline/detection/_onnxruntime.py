@@ -1,4 +1,4 @@
-"""The one way to ONNX Runtime, which would otherwise report to its maker.
+"""Import of ONNX Runtime without its telemetry.
 
 Its wheels for Linux (1.32, for one) write an identifier under ``~/.cache/Microsoft`` as soon as
 they are loaded, and some seconds later look for ``mobile.events.data.microsoft.com``, to send what
@@ -13,7 +13,7 @@ from typing import Any
 
 
 def load() -> Any:
-    """The module ``onnxruntime``, loaded so that it reports to nobody.
+    """Import ``onnxruntime`` with its telemetry switched off.
 
     Where somebody loaded it before, that comes too late.
     """

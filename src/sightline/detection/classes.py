@@ -1,4 +1,4 @@
-"""Names of the classes of public data sets, in the order of the networks trained on them."""
+"""Class names of public data sets, in the order of the networks trained on them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COCO: tuple[str, ...] = tuple(name for name in COCO_CATEGORIES if name != "-")
 
 
 def names_for(count: int | None, numbered_by_category: bool) -> tuple[str, ...]:
-    """The names of a network's classes, by their number, where the file does not tell.
+    """Class names of a network, by their index, where the file has none.
 
     Args:
         count: How many there are; None: not known, taken for COCO's.

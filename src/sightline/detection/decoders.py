@@ -1,4 +1,4 @@
-"""What the outputs of detectors mean: one decoder a family.
+"""Decoders of detector outputs, one a family of networks.
 
 A decoder turns the outputs for one picture into boxes in pixels of the network's input and a score
 for each class. Which one fits is seen from the names, shapes and types of the outputs.
@@ -27,7 +27,7 @@ _MOST_CLASSES = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What a network put out for one picture, or for a batch of them.
+    """Raw outputs of a network for one picture, or for a batch of them.
 
     Attributes:
         names: Of the outputs.
@@ -47,7 +47,7 @@ class Outputs:
 
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
-        """Of the outputs."""
+        """Shapes of the outputs."""
         return tuple(array.shape for array in self.arrays)
 
     def describe(self) -> str:
@@ -59,14 +59,14 @@ class Outputs:
         return ", ".join(each)
 
     def cells(self, strides: Sequence[int]) -> int:
-        """How many cells grids of these strides have together."""
+        """Number of cells of the grids with these strides."""
         width, height = self.input_px
         return sum((width // stride) * (height // stride) for stride in strides)
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What a network found in one picture.
+    """Decoded boxes and class scores of one picture.
 
     Attributes:
         xyxy_px: (N, 4) float64, px of the network's input.
@@ -88,7 +88,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Decoder:
-    """How a family of detectors writes its boxes.
+    """Decoder of a family of detectors.
 
     Attributes:
         name: As in ``--decoder``.
@@ -110,7 +110,7 @@ class Decoder:
     several: bool = True
 
     def of_one(self, outputs: Outputs, row: int) -> Scored:
-        """Boxes and scores for one picture of a batch.
+        """Decode boxes and scores for one picture of a batch.
 
         Raises:
             InputError: The outputs are of another family.
@@ -148,7 +148,7 @@ def _grid(columns: int, rows: int) -> FloatArray:
 
 
 def _one_hot(label: Array, score: Array) -> FloatArray:
-    """(N, C) scores, each of one class; none for what is of no class that counts."""
+    """(N, C) one-hot scores; none for what is of no class that counts."""
     index = label.astype(np.int64).ravel()
     kept = (index >= 0) & (index < _MOST_CLASSES)
     scores = np.zeros((index.size, int(index[kept].max(initial=0)) + 1))
@@ -175,7 +175,7 @@ _TINY_ANCHORS = (
 
 
 def _is_darknet(outputs: Outputs) -> bool:
-    """Raw heads: a map of A (5 + C) channels a scale."""
+    """Whether the outputs are raw heads: a map of A (5 + C) channels a scale."""
     shapes = outputs.shapes
     if outputs.anchors is None or len(shapes) != len(outputs.anchors):
         return False
@@ -186,7 +186,7 @@ def _is_darknet(outputs: Outputs) -> bool:
 
 
 def _darknet(outputs: Outputs) -> Scored:
-    """Redmon and Farhadi 2018, section 2.1; `scale_xy` as in Bochkovskiy et al. 2020."""
+    """Decode raw heads (Redmon and Farhadi 2018, sec. 2.1; `scale_xy`: Bochkovskiy et al. 2020)."""
     if outputs.anchors is None or len(outputs.anchors) != len(outputs.arrays):
         raise ValueError("there are no anchors")
     scales = outputs.scale_xy or (1.0,) * len(outputs.arrays)
@@ -210,7 +210,7 @@ def _darknet(outputs: Outputs) -> Scored:
 def _with_anchors(
     anchors: tuple[tuple[tuple[int, int], ...], ...], scale_xy: tuple[float, ...]
 ) -> Callable[[Outputs], Scored]:
-    """Raw heads of a network as it was published; the finest grid has the smallest anchors."""
+    """Raw heads with the published anchors; the finest grid has the smallest anchors."""
 
     def decode(outputs: Outputs) -> Scored:
         order = np.argsort([-array.shape[-1] for array in outputs.arrays], kind="stable")
@@ -227,7 +227,7 @@ def _with_anchors(
 
 
 def _is_darknet_boxes(outputs: Outputs) -> bool:
-    """Boxes (1, N, 1, 4) and confidences (1, N, C)."""
+    """Whether the outputs are boxes (1, N, 1, 4) and confidences (1, N, C)."""
     shapes = sorted(outputs.shapes, key=len)
     return (
         len(shapes) == 2
@@ -249,7 +249,7 @@ def _darknet_boxes(outputs: Outputs) -> Scored:
 
 
 def _single(outputs: Outputs) -> tuple[int, int] | None:
-    """The shape of the only output, (1, A, B), without its batch."""
+    """Shape of the only output, (1, A, B), without its batch axis."""
     if len(outputs.arrays) != 1 or len(outputs.shapes[0]) != 3:
         return None
     return outputs.shapes[0][1], outputs.shapes[0][2]
@@ -262,7 +262,7 @@ def _is_yolox(outputs: Outputs) -> bool:
 
 
 def _yolox(outputs: Outputs) -> Scored:
-    """Ge et al. 2021: offsets from cells, in strides; logarithms of sizes."""
+    """Decode YOLOX (Ge et al. 2021): offsets from cells, in strides; logarithms of sizes."""
     (head,) = (_float(array) for array in outputs.arrays)
     counts = [outputs.cells(strides) for strides in _YOLO_STRIDES]
     strides = _YOLO_STRIDES[counts.index(len(head))]
@@ -310,7 +310,7 @@ def _yolo_end_to_end(outputs: Outputs) -> Scored:
 
 
 def _parts(outputs: Outputs, rank: int) -> tuple[Array, Array, Array] | None:
-    """Boxes, labels and scores among the outputs, by their ranks, types and names."""
+    """Find boxes, labels and scores among the outputs, by their ranks, types and names."""
     boxes = [a for a in outputs.arrays if a.ndim == rank and a.shape[-1:] == (4,)]
     flat = [
         (name, a)
@@ -343,7 +343,7 @@ def _three(outputs: Outputs) -> tuple[Array, Array, Array]:
 
 
 def _queries(outputs: Outputs) -> tuple[Array, Array]:
-    """The outputs with logits and with boxes."""
+    """Find the outputs with logits and with boxes."""
     if len(outputs.arrays) != 2:
         raise ValueError("there are not two outputs")
     boxes = next(
@@ -374,13 +374,13 @@ def _normalised_boxes(outputs: Outputs, boxes: Array) -> FloatArray:
 
 
 def _detr_logits(outputs: Outputs) -> Scored:
-    """Each class for itself, as networks trained with the focal loss have it."""
+    """Decode DETR with independent class scores, as trained with the focal loss."""
     logits, boxes = _queries(outputs)
     return Scored(_normalised_boxes(outputs, boxes), _sigmoid(logits))
 
 
 def _detr_softmax(outputs: Outputs) -> Scored:
-    """Carion et al. 2020: one class of all; the last is nothing."""
+    """Decode DETR with a softmax over classes (Carion et al. 2020); the last is background."""
     logits, boxes = _queries(outputs)
     shifted = _float(logits) - _float(logits).max(axis=-1, keepdims=True)
     share = np.exp(shifted)
@@ -403,7 +403,7 @@ def _level_cells(outputs: Outputs) -> list[tuple[int, int]]:
 
 
 def _efficientdet_anchors(outputs: Outputs) -> FloatArray:
-    """(N, 4) x1, y1, x2, y2, px: Tan et al. 2020 in the order of their implementation."""
+    """(N, 4) anchors x1, y1, x2, y2, px: Tan et al. 2020 in the order of their implementation."""
     width, height = outputs.input_px
     levels = []
     for columns, rows in _level_cells(outputs):
@@ -434,7 +434,7 @@ def _is_efficientdet(outputs: Outputs) -> bool:
 
 
 def _efficientdet(outputs: Outputs) -> Scored:
-    """Chosen boxes, or what the heads put out: all in two outputs, or a map a level."""
+    """Decode EfficientDet: chosen boxes, or raw heads: all in two outputs, or a map a level."""
     if len(outputs.arrays) == 1:
         rows = _float(outputs.arrays[0])
         if rows.shape[1:] != (6,):
@@ -482,7 +482,7 @@ def _is_fastestdet(outputs: Outputs) -> bool:
 
 
 def _fastestdet(outputs: Outputs) -> Scored:
-    """One map: is there something, where in and beside its cell, and what."""
+    """Decode FastestDet: one map of objectness, box relative to its cell, and class."""
     (head,) = (_float(array) for array in outputs.arrays)
     channels, rows, columns = head.shape
     head = head.reshape(channels, rows * columns).T
@@ -554,7 +554,7 @@ def _last(outputs: Outputs) -> list[int]:
 
 
 def decoder_by_name(name: str) -> Decoder:
-    """A family's decoder.
+    """A decoder by the name of its family.
 
     Raises:
         InputError: There is none of that name.
@@ -566,7 +566,7 @@ def decoder_by_name(name: str) -> Decoder:
 
 
 def decoder_for(outputs: Outputs) -> Decoder:
-    """The first family that a batch of one looks like.
+    """The first decoder that fits the outputs for a batch of one.
 
     Raises:
         InputError: It looks like none.

@@ -1,4 +1,4 @@
-"""The seam of stage 1."""
+"""The seam of stage 1: the protocol of a detector."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from sightline.types import Boxes, Frame
 
 
 class Detector(Protocol):
-    """What finds vessels or vehicles in pictures.
+    """Detects vessels or vehicles in frames.
 
     A detector may remember the frames that it has seen; they come in the order of time.
     """
 
     def detect(self, frame: Frame) -> Boxes:
-        """The boxes in a frame.
+        """Detect boxes in a frame.
 
         Args:
             frame: The next picture.
@@ -32,7 +32,7 @@ class Detector(Protocol):
 
 @runtime_checkable
 class BatchDetector(Detector, Protocol):
-    """A detector that looks at several frames at once.
+    """A detector that takes several frames at once.
 
     Attributes:
         batch_size: How many frames it wants, at least 1; the last batch may have fewer.
@@ -41,5 +41,5 @@ class BatchDetector(Detector, Protocol):
     batch_size: int
 
     def detect_batch(self, frames: Sequence[Frame]) -> Sequence[Boxes]:
-        """The boxes in each of the frames, in their order; see `Detector.detect`."""
+        """Detect boxes in each of the frames, in their order; see `Detector.detect`."""
         ...

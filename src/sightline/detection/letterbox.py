@@ -1,4 +1,4 @@
-"""Pictures scaled into the size that a network takes, and boxes back out of it."""
+"""Letterboxing: pictures scaled to the network's input size, and boxes back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sightline.types import FloatArray
 
 @dataclass(frozen=True)
 class Letterbox:
-    """Where a scaled picture lies on a canvas; the rest of the canvas is padding.
+    """Position and scale of a picture on a padded canvas.
 
     A pixel's left edge at x of the picture lies at ``left_px + x * inner / size`` of the canvas.
     Width and height are rounded to whole pixels each, so each has its own scale; with them the way
@@ -44,7 +44,7 @@ class Letterbox:
         stride_px: int = 32,
         centred: bool = False,
     ) -> Self:
-        """The largest letterbox of a picture, its aspect kept.
+        """The largest letterbox of a picture at its aspect ratio.
 
         Args:
             size_px: Width and height of the picture.
@@ -72,7 +72,7 @@ class Letterbox:
         return self.inner_px[0] / self.size_px[0], self.inner_px[1] / self.size_px[1]
 
     def apply(self, image: NDArray[np.uint8], pad: int = 114) -> NDArray[np.uint8]:
-        """The canvas.
+        """Scale a picture onto the canvas.
 
         Args:
             image: (H, W, 3), of ``size_px``.
@@ -95,7 +95,7 @@ class Letterbox:
         return canvas
 
     def to_picture(self, xyxy_px: FloatArray) -> FloatArray:
-        """Boxes of the canvas in the picture, (N, 4) px; those in the padding lie outside."""
+        """Map boxes (N, 4) px from the canvas to the picture; those in the padding lie outside."""
         moved: FloatArray = xyxy_px - np.tile([self.left_px, self.top_px], 2).astype(np.float64)
         back: FloatArray = moved / np.tile(self.scale, 2)
         return back

@@ -1,4 +1,4 @@
-"""What an ONNX file says of the detector in it.
+"""Metadata of the detector in an ONNX file.
 
 Files that `sightline` exports carry a JSON object under ``metadata_props["sightline"]``. Those of
 Ultralytics carry the names of their classes; others say nothing.
@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sightline.detection.tiling import ViewSettings
+from sightline.detection.tiling import TilingSettings
 from sightline.errors import InputError
 from sightline.types import FloatArray
 
@@ -36,7 +36,7 @@ class _Table(BaseModel):
 
 
 class InputFormat(_Table):
-    """What a network wants to be shown: ``(pixel * scale - mean) / std``.
+    """Input format of a network: ``(pixel * scale - mean) / std``.
 
     Attributes:
         color: Order of the channels.
@@ -64,10 +64,10 @@ class InputFormat(_Table):
 
 
 class LowerEdge(_Table):
-    """How far below the water at the hull the boxes of a detector end, as a rule.
+    """Measured lower-edge bias of a detector.
 
     Attributes:
-        px: Pixels; negative where they end above it.
+        px: Pixels by which boxes end below the waterline; negative where they end above it.
         share: And this share of the height of what is seen of the boat.
         spread_px: Standard deviation, from one place and day to another.
     """
@@ -77,12 +77,12 @@ class LowerEdge(_Table):
     spread_px: Annotated[float, Field(gt=0.0)] = 1.0
 
     def hull_px(self, box_height_px: FloatArray) -> FloatArray:
-        """How high boats are of which the boxes are so high, with as much left above as below."""
+        """Heights of boats from heights of boxes, the bias being the same above as below."""
         return np.maximum((box_height_px - 2.0 * self.px) / (1.0 + 2.0 * self.share), 0.0)
 
 
 class DetectorMetadata(_Table):
-    """What a file of this project says of its detector; keys that are not known are passed over.
+    """Metadata of a detector in a file of this project; unknown keys are ignored.
 
     Attributes:
         format: Version of this object.
@@ -95,8 +95,8 @@ class DetectorMetadata(_Table):
         scale_xy: Of each output, how far centres may leave their cell (Darknet's ``scale_x_y``);
             None: 1.
         score_threshold: Least confidence of a box; None: the usual one.
-        views: Which parts of a frame it is made to look at; None: the usual ones.
-        lower_edge: Where its boxes end; None: nobody has measured it.
+        views: Tiles of a frame; None: the usual ones.
+        lower_edge: Its lower-edge bias; None: not measured.
     """
 
     format: int = FORMAT
@@ -107,7 +107,7 @@ class DetectorMetadata(_Table):
     anchors: tuple[tuple[tuple[float, float], ...], ...] | None = None
     scale_xy: tuple[float, ...] | None = None
     score_threshold: Share | None = None
-    views: ViewSettings | None = None
+    views: TilingSettings | None = None
     lower_edge: LowerEdge | None = None
 
     @model_validator(mode="after")
@@ -123,7 +123,7 @@ class DetectorMetadata(_Table):
 
 
 def read_metadata(where: str, properties: Mapping[str, str]) -> DetectorMetadata | None:
-    """What a file of this project says of itself; None for files of others.
+    """Read a file's metadata; None for files of others.
 
     Args:
         where: The file, for messages.
@@ -163,7 +163,7 @@ def _first(error: Exception) -> str:
 
 
 def ultralytics_names(properties: Mapping[str, str]) -> tuple[str, ...] | None:
-    """The classes that Ultralytics writes into its files: a Python dictionary from 0; or None."""
+    """Class names in a file of Ultralytics: a Python dictionary from 0; or None."""
     text = properties.get("names", "")
     if not text or len(text) > _LONGEST_NAMES:
         return None

@@ -1,4 +1,4 @@
-"""A detector without weights: what moves against a slowly learned background."""
+"""Motion detector by background subtraction, without weights."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _UNKNOWN_INTERVAL_S = 1.0 / 15.0
 
 @dataclass(frozen=True)
 class MotionSettings:
-    """How a `MotionDetector` tells boats from water.
+    """Settings of a `MotionDetector`.
 
     Attributes:
         memory_s: How long the background remembers; what lies still for as long becomes part of it.
@@ -60,7 +60,7 @@ class MotionSettings:
 
 
 class MotionDetector:
-    """Boxes around what moves below the horizon.
+    """Detects what moves below the horizon, by background subtraction.
 
     Every pixel keeps a mixture of normal distributions (Zivkovic 2004, OpenCV's MOG2), so waves
     belong to the background where they are common; where pixels flicker there is glitter, and
@@ -101,7 +101,7 @@ class MotionDetector:
         self._recent: deque[tuple[float, FloatArray]] = deque()
 
     def detect(self, frame: Frame) -> Boxes:
-        """The boxes of what moves; see `Detector`.
+        """Detect boxes of what moves; see `Detector`.
 
         Frames without a time are taken to follow each other 15 times a second.
         """
@@ -124,7 +124,7 @@ class MotionDetector:
         )
 
     def _searched(self, width: int, height: int) -> Mask:
-        """(H, W) 255 where boats are looked for."""
+        """(H, W) mask, 255 in the region of interest."""
         if self._horizon_px is None:
             line = np.full(width, _SKY_SHARE * height)
         else:
@@ -134,7 +134,7 @@ class MotionDetector:
         return _u8(np.where(np.arange(height)[:, None] >= line[None, :], 255, 0))
 
     def _lasting(self, regions: FloatArray) -> BoolArray:
-        """(N,) whether something has been about there in most of the frames before."""
+        """(N,) whether a region persists: overlaps one in most of the recent frames."""
         settings = self._settings
         while self._recent and self._recent[0][0] < self._shown_s - settings.persistence_s:
             self._recent.popleft()
@@ -150,7 +150,7 @@ class MotionDetector:
 
 
 class _Background:
-    """What is learned of the pixels of one camera."""
+    """Background model of the pixels of one camera."""
 
     def __init__(
         self, settings: MotionSettings, searched: Mask, image_bgr: NDArray[np.uint8]
@@ -173,7 +173,7 @@ class _Background:
     def regions(
         self, image_bgr: NDArray[np.uint8], elapsed_s: float
     ) -> tuple[FloatArray, FloatArray]:
-        """What moves in the next picture.
+        """Foreground regions of the next picture.
 
         Args:
             image_bgr: (H, W, 3).
@@ -199,7 +199,7 @@ class _Background:
         return _u8(cv2.GaussianBlur(image_bgr[self._top :], (3, 3), 0))
 
     def _learn_flicker(self, moving: Mask, elapsed_s: float) -> None:
-        """How often pixels begin or end to move: for a boat they do once, for glitter always."""
+        """Update the flicker rate of pixels: for a boat they change once, for glitter always."""
         changed = cv2.boxFilter(cv2.bitwise_xor(moving, self._moved), cv2.CV_32F, (9, 9))
         changes_hz = np.asarray(changed, dtype=np.float32) / np.float32(255.0 * elapsed_s)
         rate = 1.0 - float(np.exp(-elapsed_s / _FLICKER_MEMORY_S))
@@ -237,7 +237,7 @@ class _Background:
 
 
 def _trim(inside: BoolArray, contrast: NDArray[np.float32]) -> tuple[int, int, int, int]:
-    """Left, right, top and bottom of a region without wake and mirror image, which are faint."""
+    """Left, right, top and bottom of a region without its faint wake and reflection."""
     solid = inside & (contrast >= _SOLID * np.percentile(contrast[inside], 90))
     columns = solid.sum(axis=0)
     tall = np.flatnonzero(columns >= _TALL * columns.max())

@@ -1,4 +1,4 @@
-"""Any detector in an ONNX file."""
+"""Detectors in ONNX files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.letterbox import Letterbox
 from sightline.detection.metadata import InputFormat, LowerEdge, read_metadata, ultralytics_names
-from sightline.detection.tiling import Horizon, View, ViewSettings, merge, place, plan_views
+from sightline.detection.tiling import Horizon, Tile, TilingSettings, merge, place, plan_tiles
 from sightline.errors import InputError, unknown_name
 from sightline.types import Boxes, FloatArray, Frame, IntArray
 
@@ -44,7 +44,7 @@ _TYPES = {
 
 @dataclass(frozen=True)
 class DetectorOptions:
-    """How a detector in an ONNX file is run; what is absent is as the file says, or as is usual.
+    """Options of a detector in an ONNX file; what is absent is as the file says, or as is usual.
 
     Attributes:
         provider: One of `PROVIDERS`. Absent: a GPU where ONNX Runtime has one, or else the CPU.
@@ -52,8 +52,7 @@ class DetectorOptions:
         classes: Names of the classes that are looked for. Absent: those that the file is for.
         threshold: Least confidence of a box.
         overlap: Boxes of a class that overlap by more (intersection over union) are of one thing.
-        views: Which parts of a frame are looked at. Absent: the strip around the horizon and the
-            scaled frame.
+        views: Tiles of a frame. Absent: the strip around the horizon and the scaled frame.
         threads: Of the CPU. Absent: as many as there are cores.
     """
 
@@ -62,7 +61,7 @@ class DetectorOptions:
     classes: tuple[str, ...] | None = None
     threshold: float | None = None
     overlap: float = 0.45
-    views: ViewSettings | None = None
+    views: TilingSettings | None = None
     threads: int | None = None
 
     def __post_init__(self) -> None:
@@ -81,8 +80,8 @@ class DetectorOptions:
 class OnnxDetector:
     """A detector in an ONNX file, run by ONNX Runtime.
 
-    Every frame is looked at in several views (see `ViewSettings`), each scaled to what the network
-    takes. Boxes that views have in common are merged by non-maximum suppression.
+    Every frame is taken in several tiles (see `TilingSettings`), each scaled to what the network
+    takes. Boxes that tiles have in common are merged by non-maximum suppression.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class OnnxDetector:
         options: DetectorOptions | None = None,
         horizon_px: Horizon | None = None,
     ) -> None:
-        """Load the file, and try it on an empty picture.
+        """Load the file, and run it on an empty picture.
 
         Args:
             path: The ONNX file.
@@ -148,41 +147,41 @@ class OnnxDetector:
             if value is not None
         )
         settings = self._options.views or (metadata.views if metadata else None)
-        self._view_settings = settings or ViewSettings()
+        self._view_settings = settings or TilingSettings()
         self.lower_edge: LowerEdge | None = metadata.lower_edge if metadata else None
         self._given_horizon_px = horizon_px
         self.reset()
 
     @property
     def decoder(self) -> str:
-        """Name of what its outputs were taken for."""
+        """Name of the decoder in use."""
         return self._decoder.name
 
     @property
     def provider(self) -> str:
-        """What it runs on, one of `PROVIDERS`."""
+        """Execution provider in use, one of `PROVIDERS`."""
         return self._network.provider
 
     def reset(self) -> None:
-        """Forget where the horizon was found; see `Detector`."""
+        """Forget the detected horizon; see `Detector`."""
         self._finder = HorizonFinder()
         self._planned: tuple[tuple[int, int], Horizon | None] | None = None
-        self._views: tuple[View, ...] = ()
+        self._views: tuple[Tile, ...] = ()
         self._boxes_of: tuple[Letterbox, ...] = ()
 
     def detect(self, frame: Frame) -> Boxes:
-        """The boxes in a frame; see `Detector`."""
+        """Detect boxes in a frame; see `Detector`."""
         return self.detect_batch([frame])[0]
 
     def detect_batch(self, frames: Sequence[Frame]) -> list[Boxes]:
-        """The boxes in each of several frames, in their order, as `detect`.
+        """Detect boxes in each of several frames, in their order, as `detect`.
 
         Networks that take batches are shown views of the same size at once, which GPUs are quick
         at.
         """
         jobs: list[tuple[int, int, Letterbox, NDArray[np.uint8]]] = []
         sizes: list[tuple[int, int]] = []
-        plans: list[tuple[View, ...]] = []
+        plans: list[tuple[Tile, ...]] = []
         for number, frame in enumerate(frames):
             self._plan(frame)
             height, width = frame.image_bgr.shape[:2]
@@ -203,13 +202,13 @@ class OnnxDetector:
             for number, frame in enumerate(frames)
         ]
 
-    def views(self, frame: Frame) -> tuple[View, ...]:
-        """What of a frame is looked at."""
+    def views(self, frame: Frame) -> tuple[Tile, ...]:
+        """Tiles of a frame that the network is run on."""
         self._plan(frame)
         return self._views
 
     def _plan(self, frame: Frame) -> None:
-        """Choose the views anew, where the frame's size or the horizon has changed."""
+        """Plan the tiles anew, where the frame's size or the horizon has changed."""
         height, width = frame.image_bgr.shape[:2]
         horizon = self._given_horizon_px
         if horizon is None and self._view_settings.kind == "strip":
@@ -217,7 +216,7 @@ class OnnxDetector:
         if self._planned == ((width, height), horizon):
             return
         form = self._network.form
-        self._views = plan_views(
+        self._views = plan_tiles(
             (width, height),
             self._view_settings,
             horizon_px=horizon,
@@ -230,7 +229,7 @@ class OnnxDetector:
         self._planned = ((width, height), horizon)
 
     def _run(self, canvases: list[tuple[tuple[int, int], NDArray[np.uint8]]]) -> list[Scored]:
-        """What is on each canvas; those of one size together where the network takes batches."""
+        """Run the network on each canvas; those of one size in batches where it takes them."""
         out: list[Scored | None] = [None] * len(canvases)
         by_size: dict[tuple[int, int], list[int]] = {}
         for i, (size, _) in enumerate(canvases):
@@ -246,7 +245,7 @@ class OnnxDetector:
         return [scored for scored in out if scored is not None]
 
     def _chosen(self, scored: Scored) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Boxes that are confident enough, their scores and their classes."""
+        """Boxes above the confidence threshold, with their scores and classes."""
         scores, index = scored.scores, None
         if self._wanted is not None:
             index = self._wanted[self._wanted < scores.shape[1]]
@@ -268,7 +267,7 @@ class OnnxDetector:
         self,
         frame: Frame,
         frame_px: tuple[int, int],
-        views: tuple[View, ...],
+        views: tuple[Tile, ...],
         parts: Iterable[tuple[FloatArray, FloatArray, IntArray, int]],
     ) -> Boxes:
         parts = list(parts)
@@ -311,7 +310,7 @@ class OnnxDetector:
 def _suppressed(
     xyxy_px: FloatArray, score: FloatArray, label: IntArray, view: IntArray, overlap: float
 ) -> IntArray:
-    """Which boxes are the best of what they are of; each class and each view by itself."""
+    """Non-maximum suppression, for each class and each tile by itself."""
     xywh = np.concatenate([xyxy_px[:, :2], xyxy_px[:, 2:] - xyxy_px[:, :2]], axis=1)
     group = view * (int(label.max(initial=0)) + 1) + label
     # It takes arrays, which its annotations do not say.
@@ -321,7 +320,7 @@ def _suppressed(
 
 
 class _Network:
-    """A session of ONNX Runtime with one picture for its input."""
+    """A session of ONNX Runtime with one picture as its input."""
 
     def __init__(self, where: str, options: DetectorOptions) -> None:
         self._where = where
@@ -360,7 +359,7 @@ class _Network:
         self.form = InputFormat()
 
     def prepare(self, form: InputFormat) -> None:
-        """Take the form of pictures that the network wants."""
+        """Set the input format of the network."""
         if form.size and self._fixed_px and form.size != self._fixed_px:
             raise InputError(
                 f"{self._where}: says that it takes {form.size[0]} x {form.size[1]} px, and takes "
@@ -382,12 +381,12 @@ class _Network:
         self._blob.swapRB = form.color == "rgb"
 
     def try_out(self) -> list[NDArray[Any]]:
-        """The outputs for an empty picture."""
+        """Outputs for an empty picture."""
         width, height = self.dummy_px
         return self.run([np.zeros((height, width, 3), dtype=np.uint8)])
 
     def run(self, canvases: Sequence[NDArray[np.uint8]]) -> list[NDArray[Any]]:
-        """The outputs for pictures of one size, (H, W, 3) BGR."""
+        """Outputs for pictures of one size, (H, W, 3) BGR."""
         blob = self._prepared(canvases)
         feed: dict[str, NDArray[Any]] = {self._input.name: blob}
         if self._sizes is not None:
@@ -426,7 +425,7 @@ def _whole(length: object) -> bool:
 
 
 def _line(error: Exception) -> str:
-    """The first line of what ONNX Runtime says."""
+    """First line of an error of ONNX Runtime."""
     text = " ".join(str(error).split("\n")[0].split())
     return text if len(text) <= 200 else text[:200] + "..."
 
@@ -471,7 +470,7 @@ def _session(where: str, options: DetectorOptions) -> Any:
 
 
 def _provider(where: str, session: Any, wanted: str | None) -> str:
-    """What a session runs on; ONNX Runtime falls back without an error."""
+    """Execution provider of a session; ONNX Runtime falls back without an error."""
     used = session.get_providers()[0]
     name = next((name for name, full in PROVIDERS.items() if full == used), used)
     if wanted is not None and name != wanted:

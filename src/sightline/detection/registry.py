@@ -1,4 +1,4 @@
-"""Detectors by their names."""
+"""Detectors by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ENTRY_POINT_GROUP = "sightline.detectors"
 
 
 def check_detector_name(name: str | Detector) -> None:
-    """Refuse what names no detector, without loading one.
+    """Raise InputError for an unknown detector name, without loading one.
 
     Raises:
         InputError: The name is none of `DETECTORS`, no ONNX file's, and no other package's.
@@ -38,7 +38,7 @@ def detector_by_name(
     horizon_px: tuple[float, float] | None = None,
     options: DetectorOptions | None = None,
 ) -> Detector:
-    """A new detector by its name, or one's own, which forgets what it saw.
+    """A new detector by its name; an object is reset and returned.
 
     Args:
         name: One of `DETECTORS`, the path of an ONNX file, a name that another package registers
@@ -60,9 +60,10 @@ def detector_by_name(
     if name == "harbour":
         return _harbour(horizon_px, options)
     if options is not None and options != DetectorOptions():
+        what = "finds what moves and runs no network" if name == "motion" else "runs no ONNX file"
         raise InputError(
-            f"the detector {name!r} runs no ONNX file, so it has no decoder, classes, threshold, "
-            "provider or views; leave them out, or give an ONNX file"
+            f"the detector {name!r} {what}, so it has no decoder, classes, threshold, provider or "
+            "views; leave them out, or give an ONNX file"
         )
     if name == "motion":
         return MotionDetector(horizon_px=horizon_px)

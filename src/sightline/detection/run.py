@@ -1,4 +1,4 @@
-"""A detector at work on the frames of a source, or of all recordings of a scene."""
+"""Run a detector on the frames of a source, with observers of the same frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sightline.types import Frame
 
 
 class FrameObserver(Protocol):
-    """Observes frames one after another, and remembers of them what it is for.
+    """Observes frames one after another, and keeps what it needs of them.
 
     What it has found out it tells by attributes or methods of its own.
     """
@@ -27,7 +27,7 @@ class FrameObserver(Protocol):
 
 
 def observe(frames: Iterable[Frame], observers: Iterable[FrameObserver]) -> Iterator[Frame]:
-    """Hand frames on, each when all have observed it: one pass serves them all.
+    """Yield frames after all observers have observed them, so that one pass serves all (tee).
 
     Args:
         frames: In the order of time.
@@ -46,7 +46,7 @@ def detect(
     count: int | None = None,
     progress: Progress | None = None,
 ) -> Iterator[ObservedBoxes]:
-    """The boxes of each frame, as the detector finds them, with the state of its camera.
+    """Detect the boxes of each frame, with the camera state.
 
     Args:
         frames: In the order of time.
@@ -74,7 +74,7 @@ def _batches(frames: Iterable[Frame], size: int) -> Iterator[list[Frame]]:
 
 
 def same_size(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
-    """Pass pictures on, and refuse those of another size than those that the model learned from.
+    """Pass frames on; raise InputError for those of another size than the model's.
 
     Raises:
         InputError: A picture has another size.
@@ -90,7 +90,7 @@ def same_size(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> 
 
 
 def usable(frames: Iterable[Frame], size_px: tuple[int, int], where: str) -> Iterator[Frame]:
-    """Pass pictures on, and refuse those that no target can be found and placed in.
+    """Pass frames on; raise InputError for those of another size or without a time.
 
     Raises:
         InputError: A picture has no time, or another size than those that the model learned from.

@@ -1,8 +1,8 @@
-"""Which parts of a frame are looked at, and how closely.
+"""Tiling of a frame for detection, at a resolution that keeps small targets.
 
 A boat at a kilometre is a few pixels large: a frame scaled to the size of a network loses it. So
-the strip around the horizon, where things are far and small, is looked at as it is; what is near
-is large, and may be scaled down.
+the strip around the horizon, where things are far and small, is taken at full resolution; what is
+near is large, and may be scaled down.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _OVERLAP = 0.3
 
 
 @dataclass(frozen=True)
-class View:
-    """A part of a frame, and the scale at which it is looked at.
+class Tile:
+    """A part of a frame, with the scale at which a network is run on it.
 
     Attributes:
         x: Left edge, px of the frame.
@@ -49,15 +49,15 @@ class View:
 
     @property
     def searched_px(self) -> float:
-        """How many pixels a network looks at, without padding."""
+        """Number of pixels of network input, without padding."""
         return self.width * self.height * self.scale**2
 
 
 @dataclass(frozen=True)
-class ViewSettings:
-    """How the views of a frame are chosen.
+class TilingSettings:
+    """How the tiles of a frame are chosen.
 
-    Lengths are pixels of a frame of ``frame_width_px``; larger frames are looked at as if they
+    Lengths are pixels of a frame of ``frame_width_px``; larger frames are taken as if they
     had been scaled to it, since what they show is larger.
 
     Attributes:
@@ -66,7 +66,7 @@ class ViewSettings:
         frame_width_px: See above.
         above_px: How far above the horizon the strip begins; masts and cabins stand there.
         below_px: How far below the horizon it ends.
-        near_scale: Scale of all that lies below the horizon, in the strip's. 0: not looked at.
+        near_scale: Scale of all that lies below the horizon, in the strip's. 0: left out.
         overlap: Of neighbouring tiles, as a share of their side. What is larger than it may lie
             whole in neither; the scaled view is for that.
         whole_px: Longest side of a frame scaled for a network that takes any size.
@@ -91,15 +91,15 @@ class ViewSettings:
             )
 
 
-def plan_views(
+def plan_tiles(
     frame_px: tuple[int, int],
-    settings: ViewSettings,
+    settings: TilingSettings,
     *,
     horizon_px: Horizon | None = None,
     input_px: tuple[int, int] | None = None,
     stride_px: int = 32,
-) -> tuple[View, ...]:
-    """The views of a frame.
+) -> tuple[Tile, ...]:
+    """Plan the tiles of a frame.
 
     Args:
         frame_px: Width and height.
@@ -119,26 +119,26 @@ def plan_views(
         tiles = tuple(_tiles((0, top, width, bottom), frame_px, input_px, scale, settings.overlap))
         whole = _whole(frame_px, settings, input_px)
         return tiles if whole in tiles else (*tiles, whole)
-    strip = View(0, top, width, bottom - top, scale)
+    strip = Tile(0, top, width, bottom - top, scale)
     if bottom == height or settings.near_scale == 0.0:
         return (strip,)
-    return strip, View(0, top, width, height - top, scale * settings.near_scale)
+    return strip, Tile(0, top, width, height - top, scale * settings.near_scale)
 
 
 def _whole(
-    frame_px: tuple[int, int], settings: ViewSettings, input_px: tuple[int, int] | None
-) -> View:
+    frame_px: tuple[int, int], settings: TilingSettings, input_px: tuple[int, int] | None
+) -> Tile:
     if input_px is not None:
         scale = min(input_px[0] / frame_px[0], input_px[1] / frame_px[1])
     else:
         scale = min(1.0, settings.whole_px / max(frame_px))
-    return View(0, 0, *frame_px, scale)
+    return Tile(0, 0, *frame_px, scale)
 
 
 def _strip(
-    height: int, settings: ViewSettings, horizon_px: Horizon, scale: float, stride_px: int
+    height: int, settings: TilingSettings, horizon_px: Horizon, scale: float, stride_px: int
 ) -> tuple[int, int]:
-    """First and last row of the strip, so that a network's stride wastes no row."""
+    """First and last row of the strip, a multiple of the network's stride."""
     top = math.floor(min(horizon_px) - settings.above_px / scale)
     # A horizon outside the frame leaves the row next to it.
     top = min(max(top, 0), height - 1)
@@ -153,19 +153,19 @@ def _tiles(
     input_px: tuple[int, int],
     scale: float,
     overlap: float,
-) -> Iterator[View]:
+) -> Iterator[Tile]:
     """Tiles of the network's size that cover an area, x1, y1, x2, y2, and may reach beyond it."""
     columns = _places(area[0], area[2], frame_px[0], input_px[0] / scale, overlap)
     rows = list(_places(area[1], area[3], frame_px[1], input_px[1] / scale, overlap))
     for x, width in columns:
         for y, height in rows:
-            yield View(x, y, width, height, scale)
+            yield Tile(x, y, width, height, scale)
 
 
 def _places(
     first: int, last: int, end: int, side: float, overlap: float
 ) -> Iterator[tuple[int, int]]:
-    """Where tiles begin, and how long they are, along one axis."""
+    """Starts and lengths of tiles along one axis."""
     length = min(math.floor(side), end)
     count = max(math.ceil((last - first - overlap * length) / ((1.0 - overlap) * length)), 1)
     if count == 1:
@@ -177,8 +177,8 @@ def _places(
         yield round(float(begin)), length
 
 
-def place(view: View, input_px: tuple[int, int] | None, stride_px: int, centred: bool) -> Letterbox:
-    """How a view lies on the canvas of a network."""
+def place(view: Tile, input_px: tuple[int, int] | None, stride_px: int, centred: bool) -> Letterbox:
+    """Letterbox of a tile on the canvas of a network."""
     return Letterbox.fit(
         (view.width, view.height),
         scale=view.scale,
@@ -189,14 +189,14 @@ def place(view: View, input_px: tuple[int, int] | None, stride_px: int, centred:
 
 
 def merge(
-    views: Sequence[View],
+    views: Sequence[Tile],
     frame_px: tuple[int, int],
     xyxy_px: FloatArray,
     score: FloatArray,
     view: IntArray,
     label: IntArray,
 ) -> BoolArray:
-    """Which boxes stay, when several views show the same thing.
+    """Merge the boxes of overlapping tiles by non-maximum suppression between tiles.
 
     A box that ends at an edge of its view inside the frame is cut off there; it goes where another
     view has the whole of it. Of the others that overlap and are of two views, the best stays
@@ -233,16 +233,16 @@ def merge(
 
 
 def _shared(box: FloatArray, others: FloatArray) -> FloatArray:
-    """(N,) areas that boxes share with one, square pixels."""
+    """(N,) areas of intersection of boxes with one box, square pixels."""
     low = np.maximum(others[:, :2], box[:2])
     high = np.minimum(others[:, 2:], box[2:])
     return np.asarray(np.clip(high - low, 0.0, None).prod(axis=1), dtype=np.float64)
 
 
 def _cut(
-    views: Sequence[View], frame_px: tuple[int, int], xyxy_px: FloatArray, view: IntArray
+    views: Sequence[Tile], frame_px: tuple[int, int], xyxy_px: FloatArray, view: IntArray
 ) -> BoolArray:
-    """(N,) whether a box ends at an edge of its view that is none of the frame."""
+    """(N,) whether a box is cut off by an inner edge of its tile."""
     edges = np.array([(v.x, v.y, v.x + v.width, v.y + v.height) for v in views], dtype=np.float64)
     slack = np.array([_TOUCHES_PX / v.scale for v in views])
     inner = edges != np.array([0, 0, *frame_px])

@@ -50,8 +50,9 @@ class ScoredPairs:
             next: a segment is a recording or a track.
         asked: How many times were looked up; at least N.
         without_position: How many of those the log knows but the estimate has no position for.
-        eye_m: (N, 2) float64, east and north of the camera; absent: at the origin.
-        log_sigma_m: (N,) float64, how far off the log itself is believed to be, east and north;
+        camera_position_m: (N, 2) float64, east and north of the camera; absent: at the origin.
+        reference_sigma_m: (N,) float64, how far off the log itself is believed to be, east and
+            north;
             absent: not at all.
 
     Raises:
@@ -67,8 +68,8 @@ class ScoredPairs:
     segment: IntArray
     asked: int
     without_position: int = 0
-    eye_m: FloatArray | None = None
-    log_sigma_m: FloatArray | None = None
+    camera_position_m: FloatArray | None = None
+    reference_sigma_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = np.size(self.time_utc_s)
@@ -78,10 +79,14 @@ class ScoredPairs:
                 raise InputError(f"ScoredPairs.{name} has a value that is no number")
         self._freeze("covariance_m2", np.array(self.covariance_m2, dtype=np.float64), (n, 2, 2))
         self._freeze("segment", np.array(self.segment, dtype=np.int64), (n,))
-        eye_m = np.zeros((n, 2)) if self.eye_m is None else self.eye_m
-        self._freeze("eye_m", np.array(eye_m, dtype=np.float64), (n, 2))
-        log_sigma_m = np.zeros(n) if self.log_sigma_m is None else self.log_sigma_m
-        self._freeze("log_sigma_m", np.array(log_sigma_m, dtype=np.float64), (n,))
+        camera_position_m = (
+            np.zeros((n, 2)) if self.camera_position_m is None else self.camera_position_m
+        )
+        self._freeze("camera_position_m", np.array(camera_position_m, dtype=np.float64), (n, 2))
+        reference_sigma_m = (
+            np.zeros(n) if self.reference_sigma_m is None else self.reference_sigma_m
+        )
+        self._freeze("reference_sigma_m", np.array(reference_sigma_m, dtype=np.float64), (n,))
         if self.asked < n:
             raise InputError(f"{n} pairs cannot come from {self.asked} times")
 
@@ -112,7 +117,13 @@ class ScoredPairs:
         return cls(
             **{
                 name: np.concatenate([getattr(part, name) for part in parts])
-                for name in (*columns, "true_north_m", "segment", "eye_m", "log_sigma_m")
+                for name in (
+                    *columns,
+                    "true_north_m",
+                    "segment",
+                    "camera_position_m",
+                    "reference_sigma_m",
+                )
             },
             asked=sum(part.asked for part in parts),
             without_position=sum(part.without_position for part in parts),
@@ -120,8 +131,8 @@ class ScoredPairs:
 
     def with_log_error(self) -> ScoredPairs:
         """The same, with covariances that answer for the log's own error as well."""
-        assert self.log_sigma_m is not None, "filled in where it is absent"
-        of_log = np.square(self.log_sigma_m)[:, None, None] * np.eye(2)
+        assert self.reference_sigma_m is not None, "filled in where it is absent"
+        of_log = np.square(self.reference_sigma_m)[:, None, None] * np.eye(2)
         return replace(self, covariance_m2=self.covariance_m2 + of_log)
 
     @property
@@ -132,8 +143,8 @@ class ScoredPairs:
     @property
     def true_sight_m(self) -> FloatArray:
         """(N, 2) metres east and north from the camera to the true position."""
-        assert self.eye_m is not None, "filled in where it is absent"
-        return np.stack([self.true_east_m, self.true_north_m], axis=1) - self.eye_m
+        assert self.camera_position_m is not None, "filled in where it is absent"
+        return np.stack([self.true_east_m, self.true_north_m], axis=1) - self.camera_position_m
 
     @property
     def true_range_m(self) -> FloatArray:
@@ -153,7 +164,7 @@ def pair_positions(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
-    log_sigma_m: float = 0.0,
+    reference_sigma_m: float = 0.0,
 ) -> ScoredPairs:
     """Single positions beside a log, as one segment.
 
@@ -163,7 +174,7 @@ def pair_positions(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
 
     Raises:
         InputError: There are more times than positions or the reverse.
@@ -183,12 +194,14 @@ def pair_positions(
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=times.size,
         without_position=int((log.matched & ~positions.known).sum()),
-        eye_m=_eye(platform, times[keep], positions.plane),
-        log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
+        camera_position_m=_camera_position(platform, times[keep], positions.plane),
+        reference_sigma_m=np.full(int(keep.sum()), reference_sigma_m),
     )
 
 
-def _eye(platform: Platform | None, times: FloatArray, plane: LocalPlane) -> FloatArray | None:
+def _camera_position(
+    platform: Platform | None, times: FloatArray, plane: LocalPlane
+) -> FloatArray | None:
     return None if platform is None else platform.pose(times, plane).en_m
 
 
@@ -198,7 +211,7 @@ def pair_track(
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     platform: Platform | None = None,
-    log_sigma_m: float = 0.0,
+    reference_sigma_m: float = 0.0,
 ) -> ScoredPairs:
     """A track beside a log at the track's own times, as one segment.
 
@@ -207,7 +220,7 @@ def pair_track(
         fixes: The log.
         largest_gap_s: Times between fixes that are further apart are not compared.
         platform: What the camera stood on, where that moved.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
     """
     log = synchronise(fixes, track.time_utc_s, track.plane, largest_gap_s=largest_gap_s)
     keep = log.matched
@@ -220,8 +233,8 @@ def pair_track(
         true_north_m=log.north_m[keep],
         segment=np.zeros(int(keep.sum()), dtype=np.int64),
         asked=len(track),
-        eye_m=_eye(platform, track.time_utc_s[keep], track.plane),
-        log_sigma_m=np.full(int(keep.sum()), log_sigma_m),
+        camera_position_m=_camera_position(platform, track.time_utc_s[keep], track.plane),
+        reference_sigma_m=np.full(int(keep.sum()), reference_sigma_m),
     )
 
 
@@ -230,7 +243,7 @@ class AbsoluteError:
     """The absolute pose error of section 4.4, of positions (they have no orientation).
 
     Attributes:
-        n: Pairs compared.
+        n: Correspondences compared.
         rmse: Metres; NaN, as all others, where there is no pair.
         mse: Square metres.
         mean: Metres.
@@ -256,7 +269,7 @@ class RelativeError:
 
     Attributes:
         delta_s: Seconds from the one pose of a pair to the other.
-        n: Pairs of poses.
+        n: Correspondences of poses.
         rmse: Metres; NaN, as all others, where there is no pair.
         mse: Square metres.
         mean: Metres.
@@ -281,9 +294,9 @@ class Coverage:
     Attributes:
         p50: Share of the log's positions inside the stated 50 % ellipse; NaN where none is stated.
         p95: The same of the 95 % ellipse.
-        n: Pairs that state a covariance.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north, root mean
-            square; 0 where nobody says.
+        n: Correspondences that state a covariance.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north, root
+            mean square; 0 where nobody says.
         p50_with_log: As ``p50``, of ellipses that answer for the log's own error as well.
         p95_with_log: The same of the 95 % ellipse.
     """
@@ -291,7 +304,7 @@ class Coverage:
     p50: float
     p95: float
     n: int
-    log_sigma_m: float
+    reference_sigma_m: float
     p50_with_log: float
     p95_with_log: float
 
@@ -320,7 +333,7 @@ class RangeBin:
     Attributes:
         from_m: Metres, included.
         to_m: Metres, excluded; may be infinite.
-        n: Pairs.
+        n: Correspondences.
         rmse: Metres.
         median: Metres.
     """
@@ -488,7 +501,7 @@ def covered(pairs: ScoredPairs, probability: ArrayLike) -> FloatArray:
 
 def coverage(pairs: ScoredPairs) -> Coverage:
     """How often the truth lies inside the stated 50 % and 95 % ellipses."""
-    assert pairs.log_sigma_m is not None, "filled in where it is absent"
+    assert pairs.reference_sigma_m is not None, "filled in where it is absent"
     p50, p95 = covered(pairs, (0.5, 0.95))
     p50_with_log, p95_with_log = covered(pairs.with_log_error(), (0.5, 0.95))
     stated = np.isfinite(pairs.covariance_m2).all(axis=(1, 2))
@@ -496,7 +509,9 @@ def coverage(pairs: ScoredPairs) -> Coverage:
         p50=float(p50),
         p95=float(p95),
         n=int(stated.sum()),
-        log_sigma_m=float(np.sqrt(_mean(pairs.log_sigma_m[stated] ** 2))) if stated.any() else 0.0,
+        reference_sigma_m=float(np.sqrt(_mean(pairs.reference_sigma_m[stated] ** 2)))
+        if stated.any()
+        else 0.0,
         p50_with_log=float(p50_with_log),
         p95_with_log=float(p95_with_log),
     )

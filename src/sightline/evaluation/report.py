@@ -73,6 +73,12 @@ class TracksUsed:
     chosen_by: str
 
 
+def _coverage_dict(coverage: Coverage) -> dict[str, object]:
+    """As JSON has it: the key of the log's error is older than its name here."""
+    out = asdict(coverage)
+    return {"log_sigma_m" if key == "reference_sigma_m" else key: out[key] for key in out}
+
+
 @dataclass(frozen=True)
 class Report:
     """How far positions are from a log: pooled over recordings, and for each of them.
@@ -110,7 +116,7 @@ class Report:
         out: dict[str, object] = {
             "ape": asdict(self.ape),
             "rpe": asdict(self.rpe),
-            "coverage": asdict(self.coverage),
+            "coverage": _coverage_dict(self.coverage),
             "matched": asdict(self.matched),
             "bias": asdict(self.bias),
             "by_range": [asdict(row) for row in self.by_range],
@@ -336,7 +342,7 @@ def pair_target(
     largest_gap_s: float = LARGEST_GAP_S,
     least_overlap_s: float = LEAST_OVERLAP_S,
     platform: Platform | None = None,
-    log_sigma_m: float = 0.0,
+    reference_sigma_m: float = 0.0,
     where: str = "",
 ) -> tuple[ScoredPairs, TracksUsed]:
     """The pairs of a log and those tracks that are its target; see `evaluate_tracks`.
@@ -348,7 +354,7 @@ def pair_target(
         largest_gap_s: Times between fixes that are further apart are not compared.
         least_overlap_s: Seconds.
         platform: What the camera stood on, where that moved.
-        log_sigma_m: How far off the log itself is believed to be, metres east and north.
+        reference_sigma_m: How far off the log itself is believed to be, metres east and north.
         where: Begins the message: the recording.
 
     Returns:
@@ -368,7 +374,7 @@ def pair_target(
             fixes,
             largest_gap_s=largest_gap_s,
             platform=platform,
-            log_sigma_m=log_sigma_m,
+            reference_sigma_m=reference_sigma_m,
         )
     overlapping = {number: pairs for number, pairs in paired.items() if len(pairs)}
     if wanted is not None:

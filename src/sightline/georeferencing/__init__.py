@@ -1,1 +1,1 @@
-"""Stage 3: a box in, a place on the earth with its covariance out."""
+"""Stage 3: georeferencing of boxes, with models learned from boxes and logs."""

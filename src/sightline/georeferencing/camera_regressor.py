@@ -1,4 +1,4 @@
-"""The models `camera` and `camera+gpr`: boxes in, places with their covariance out."""
+"""The models `camera` and `camera+gpr`: positions with covariance from boxes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,7 @@ from sightline.camera.parameters import (
     ParameterLayout,
 )
 from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
-from sightline.camera.priors import (
-    ANY_ASPECT,
-    CameraPrior,
-    PixelNoise,
-    SourceBelief,
-)
+from sightline.camera.priors import ANY_ASPECT, CameraPrior, PixelNoise, SourcePrior
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings
@@ -42,10 +37,10 @@ LARGEST_RELATIVE_SIGMA = 0.5
 """A box whose range is less certain than this share of itself has no position."""
 
 UNSEEN_BIAS_PX = 5.0
-"""How far off the lower edge of a source that nobody knows may be: detectors that were trained on
+"""Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
 
-# The belief weighs as much as so many known sources.
+# The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
 # So that what is known of a chunk stays in a core's own cache.
@@ -53,19 +48,19 @@ _CHUNK = 1024
 
 
 class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
-    """An unknown camera, and a Gaussian process on what it leaves.
+    """A fitted camera, with a Gaussian process on its residual.
 
     Args:
         image_size_px: Width and height.
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
-        prior: Beliefs about the camera; None: those of an ordinary one.
-        source_priors: About the habits of sources, by their names; others have the prior's.
+        prior: Prior of the camera; None: that of an ordinary one.
+        source_priors: Priors of the biases of sources, by their names; others have ``prior``'s.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.
         random_state: Seed of the starts.
-        above_sigma_m: How far off it is how high the water stands (``above_m``); 0 where that is
-            not asked.
+        above_sigma_m: Standard deviation of the water level (``above_m``); 0 where that is not
+            asked.
 
     Attributes:
         fit_: The fitted camera and its uncertainty, a `CameraFit`.
@@ -80,7 +75,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         *,
         residual: bool = True,
         prior: CameraPrior | None = None,
-        source_priors: Mapping[str, SourceBelief] | None = None,
+        source_priors: Mapping[str, SourcePrior] | None = None,
         position_known: bool = True,
         heaving: bool = False,
         starts: int = 8,
@@ -98,7 +93,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.above_sigma_m = above_sigma_m
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from boxes of one target, of which nothing is known but where it was.
+        """Fit to boxes of one target, of which nothing is known but its places.
 
         Args:
             X: (N, 4) boxes, pixels.
@@ -111,7 +106,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return self.fit_observations(CameraObservations(np.asarray(X), np.asarray(y)))
 
     def fit_observations(self, observations: CameraObservations) -> Self:
-        """Learn from boxes and landmarks, with all that is known of them.
+        """Fit to boxes and landmarks, with all that is known of them.
 
         Raises:
             FitError: The boxes are too few, or all in one place.
@@ -129,7 +124,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 for name, belief in (self.source_priors or {}).items()
                 if name in self.sources_
             },
-            noise=PixelNoise(drift_m=0.0) if n == 0 else None,
+            noise=PixelNoise(correlated_m=0.0) if n == 0 else None,
             settings=CameraFitSettings(
                 position_known=self.position_known,
                 heaving=self.heaving,
@@ -158,7 +153,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return_cov: bool = False,
         return_shared: bool = False,
     ) -> Any:
-        """Where boxes lie.
+        """Positions of boxes.
 
         Args:
             X: (N, 4) boxes, pixels.
@@ -224,24 +219,24 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     @property
     def camera_fit(self) -> CameraFit:
-        """The fitted camera and its uncertainty."""
+        """The fitted camera with its covariance."""
         return self.fit_
 
     @property
     def reference_sigma_m(self) -> float:
-        """Lasting error of the logs that it learned from, metres east and north."""
-        return self.fit_.noise.drift_m
+        """Correlated error of the logs that it learned from, metres east and north."""
+        return self.fit_.noise.correlated_m
 
     def locate(
         self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
     ) -> Placement:
-        """As `predict`, with covariances and the part of them that a target shares with itself."""
+        """As `predict`, with covariances and their shared part."""
         return Placement(
             *self.predict(boxes_xyxy_px, source=source, above_m=above_m, return_shared=True)
         )
 
     def bias(self, source: str) -> tuple[FloatArray, FloatArray]:
-        """A source's bias, (2,) pixels and metres, and the whole covariance with the camera's.
+        """Lower-edge bias of a source, (2,) pixels and metres, and its covariance with the camera.
 
         The covariance is (13, 13): the camera's nine parameters, the target's two, and the two of
         the bias. A source that was not learned from is what the prior says of such, and how far the
@@ -267,7 +262,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return mean, covariance
 
     def _prepare(self) -> None:
-        """What every prediction needs, once: the camera, and each source's bias."""
+        """Precompute what every prediction needs: the camera, and the bias of each source."""
         # By how much a target moves while the clock is unsure, along either axis.
         self.clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
@@ -281,7 +276,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self._biases: dict[str, tuple[float, float, FloatArray]] = {}
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
-        """A source's bias, pixels and metres, and a root of the covariance of all parameters.
+        """Bias of a source, pixels and metres, and a root of the covariance of all parameters.
 
         The root is (13, 12): its product with `Located.derivatives`, but for the last, has the
         square that the covariance gives.
@@ -328,7 +323,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
 
     def _inputs(self, boxes: FloatArray, seen: _Seen, source: str) -> FloatArray:
-        """(N, 4) what the residual depends on: bearing, log-range, log of apparent height, width.
+        """(N, 4) inputs of the residual: bearing, log-range, log of apparent height, width.
 
         The bearing is off the optical axis, radians; heights and widths are metres.
         """
@@ -404,7 +399,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             shared[~known[: len(shared)]] = np.nan
 
     def _learn_residual(self, observations: CameraObservations, places: FloatArray) -> None:
-        """Learn what the camera leaves; places (N, 2) are by clocks that were put right."""
+        """Fit the Gaussian processes to the residual; places (N, 2) are corrected for clocks."""
         boxes, names, n = observations.boxes_xyxy_px, observations.source, len(observations)
         inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
         noise = np.full((n, 2), np.nan)
@@ -414,7 +409,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             for name in np.unique(names):
                 rows = np.flatnonzero(names == name)
-                # Heave is in the error that lasts, below.
+                # Heave is in the correlated error, below.
                 seen = self._see(boxes[rows], str(name), observations.above_m[rows], heave=False)
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
                 noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
@@ -440,8 +435,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 observations.time_s,
                 along_or_across,
                 self._log,
-                self.fit_.noise.drift_m,
-                self.fit_.noise.drift_s,
+                self.fit_.noise.correlated_m,
+                self.fit_.noise.correlation_time_s,
                 # Heave changes all ranges by the same share, and no bearing.
                 self.fit_.noise.heave_m / camera.height_m if axis == 0 else 0.0,
             )
@@ -457,7 +452,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
 
     def state(self) -> tuple[Arrays, Settings]:
-        """What `from_state` needs to predict the same: arrays, and the rest as JSON can hold it."""
+        """State that `from_state` restores: arrays, and the rest as JSON can hold it."""
         check_is_fitted(self, "fit_")
         fit = self.fit_
         arrays: Arrays = {
@@ -500,7 +495,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The model that `state` described.
+        """Restore the model from its `state`.
 
         Args:
             arrays: Of `state`.
@@ -559,8 +554,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                     np.array(arrays[f"{key}.time"], dtype=np.float64),
                     np.array(arrays[f"{key}.direction"], dtype=np.float64),
                     np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
-                    model.fit_.noise.drift_m,
-                    model.fit_.noise.drift_s,
+                    model.fit_.noise.correlated_m,
+                    model.fit_.noise.correlation_time_s,
                     model.fit_.noise.heave_m / model.camera_.height_m if key == "range" else 0.0,
                 )
                 if f"{key}.time" in arrays
@@ -576,7 +571,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Boxes as the camera sees them: how far, in which direction, and how that may be off.
+    """Range, bearing and their covariance of boxes as the camera sees them.
 
     Attributes:
         distance: (N,) metres.
@@ -608,7 +603,7 @@ def _turn(
     cosine: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Turn covariances from along and across the line of sight to east and north."""
+    """Rotate covariances from along and across the line of sight to east and north."""
     ss, cc, sc = sine * sine, cosine * cosine, sine * cosine
     out[:, 0, 0] = along * ss + across * cc + 2.0 * mixed * sc
     out[:, 1, 1] = along * cc + across * ss - 2.0 * mixed * sc

@@ -1,4 +1,4 @@
-"""Boxes of a target whose place is known: what every model learns from and is scored on."""
+"""Correspondences: boxes with the known place of their target, to fit and evaluate models."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from sightline.types import BoolArray, Boxes, FloatArray, Rows, StrArray
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
-    """Boxes with the place of the target at their time, one row a box.
+class Correspondences:
+    """Boxes with the place of their target at their time, one row a box.
 
     Attributes:
         boxes: (N,) the boxes.
@@ -24,7 +24,7 @@ class Pairs:
         plane: Where the origin lies.
         vessel: (N,) str, whose box it is, where a recording has several. Absent: one.
         water_level_m: (N,) float64, how high the water stood above the datum. Absent: at it.
-        beside: (N,) bool, whether a box is of a source that is only to have its habits learned,
+        bias_only: (N,) bool, whether a box is of a source that is only to have its biases learned,
             beside those of whoever drew. Absent: none is.
     """
 
@@ -36,21 +36,21 @@ class Pairs:
     plane: LocalPlane
     vessel: StrArray = field(default_factory=lambda: np.empty(0, dtype=np.str_))
     water_level_m: FloatArray = field(default_factory=lambda: np.empty(0))
-    beside: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+    bias_only: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         if self.vessel.size == 0:
             object.__setattr__(self, "vessel", np.full(len(self.boxes), ""))
         if self.water_level_m.size == 0:
             object.__setattr__(self, "water_level_m", np.zeros(len(self.boxes)))
-        if self.beside.size == 0:
-            object.__setattr__(self, "beside", np.zeros(len(self.boxes), dtype=np.bool_))
+        if self.bias_only.size == 0:
+            object.__setattr__(self, "bias_only", np.zeros(len(self.boxes), dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.boxes)
 
     def in_plane(self, plane: LocalPlane) -> Self:
-        """The same places, east and north of another origin; velocities stay as they are.
+        """The same places in the plane of another origin; velocities stay as they are.
 
         Args:
             plane: Not so far away that its north points elsewhere.
@@ -71,5 +71,5 @@ class Pairs:
             velocity_mps=self.velocity_mps[rows],
             vessel=self.vessel[rows],
             water_level_m=self.water_level_m[rows],
-            beside=self.beside[rows],
+            bias_only=self.bias_only[rows],
         )

@@ -1,4 +1,4 @@
-"""A fit: from what was collected to a georeferencer. Nothing here reads a file."""
+"""The fit of a georeferencer from collected inputs. Nothing here reads a file."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
-from sightline.camera.registration import View
+from sightline.camera.priors import CameraPrior, SourcePrior
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit_report import fit_report
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import (
@@ -32,7 +32,7 @@ from sightline.types import BoolArray, Boxes, ControlPoints, FloatArray, Horizon
 
 @dataclass(frozen=True, eq=False)
 class FitInputs:
-    """All that a fit learns from.
+    """Everything that a fit learns from.
 
     Attributes:
         correspondences: Boxes beside the places of their targets, as the camera saw them.
@@ -43,21 +43,21 @@ class FitInputs:
         moving: Whether the camera is on a platform that moves; places are then starboard and ahead.
         tidal: Whether every recording tells how high the water stood.
         horizons: By recording, where the horizon lay in its frames; of a camera that rolls.
-        stances: By recording, how a camera that ought to stand still stood in it.
+        static_intervals: By recording, the static intervals of its camera.
         landmarks: Pixels whose place is known roughly.
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
         name: Begins messages: the scene file.
     """
 
-    correspondences: Pairs
+    correspondences: Correspondences
     image_size_px: tuple[int, int]
     control_points: ControlPoints
     position_known: bool = True
     moving: bool = False
     tidal: bool = False
     horizons: Mapping[str, Horizons] = field(default_factory=dict)
-    stances: Mapping[str, Sequence[Stance]] = field(default_factory=dict)
+    static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     asked: Mapping[str, int] = field(default_factory=dict)
     name: str = "the scene"
@@ -70,13 +70,15 @@ class FitInputs:
             self,
             correspondences=replace(kept, asked=pairs.asked - self.asked.get(recording, 0)),
             horizons={name: own for name, own in self.horizons.items() if name != recording},
-            stances={name: own for name, own in self.stances.items() if name != recording},
+            static_intervals={
+                name: own for name, own in self.static_intervals.items() if name != recording
+            },
         )
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a model is learned.
+    """Settings of a fit.
 
     Attributes:
         model: Name of a model, or a model type.
@@ -90,17 +92,17 @@ class FitSettings:
     model: str | ModelType = DEFAULT_MODEL
     seed: int = 0
     prior: CameraPrior | None = None
-    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
     water_level_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Knowledge:
-    """What a fit tells that prepares the data of the next; None where it has not told yet.
+    """Estimates of one fit that prepare the data of the next; None where there are none yet.
 
     Attributes:
-        lens: How far a pixel turns the camera; told once there is a camera.
-        rotations: By recording, how the camera lay in it against how it lies for the model.
+        lens: The camera, by whose lens boxes are stabilised; known once one is fitted.
+        rotations: By recording, the camera rotation against the model's camera.
         origin: Where on the earth the camera stands.
     """
 
@@ -110,7 +112,7 @@ class _Knowledge:
 
 
 def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer:
-    """Learn a georeferencer.
+    """Fit a georeferencer.
 
     What a fit tells of the camera prepares the data of the next: its lens takes swell off the
     boxes, its focal length turns shifts of the static scene into camera rotations, whose effect is
@@ -134,7 +136,7 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
             "recording boxes and fixes, or [[control_points]]"
         )
     horizon = _typical_horizon(list(inputs.horizons.values()))
-    view = reference_view(inputs.stances)
+    view = reference_view(inputs.static_intervals)
     known = _Knowledge()
     while True:
         fitted = _fit_once(inputs, _prepared(inputs, known, horizon), kind, settings)
@@ -160,9 +162,9 @@ def _told(
     inputs: FitInputs,
     known: _Knowledge,
     horizon: tuple[float, float] | None,
-    view: View | None,
+    view: ReferenceView | None,
 ) -> _Knowledge:
-    """What is known after a fit; the same object where it told nothing of a new kind."""
+    """Estimates after a fit; the same object where it added nothing new."""
     camera = fitted.camera
     if camera is None:
         return known
@@ -172,7 +174,7 @@ def _told(
     if known.rotations is None and view is not None:
         rotations = {
             name: found
-            for name, own in inputs.stances.items()
+            for name, own in inputs.static_intervals.items()
             if (found := fitted.rotation_in(own, view)) is not None
         }
         if rotations:
@@ -183,8 +185,10 @@ def _told(
     return told
 
 
-def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None) -> Pairs:
-    """Correspondences as a camera would have seen them that lay as it does for the model."""
+def _prepared(
+    inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float] | None
+) -> Correspondences:
+    """Correspondences, stabilised and compensated to the camera of the model."""
     pairs = inputs.correspondences
     if known.origin is not None:
         pairs = pairs.in_plane(known.origin)
@@ -195,12 +199,12 @@ def _prepared(inputs: FitInputs, known: _Knowledge, horizon: tuple[float, float]
 
 
 def _stabilised(
-    pairs: Pairs,
+    pairs: Correspondences,
     horizons: Mapping[str, Horizons],
     horizon_px: tuple[float, float],
     lens: Camera,
-) -> Pairs:
-    """Correspondences with roll and pitch taken off; those without a horizon are left out."""
+) -> Correspondences:
+    """Correspondences with roll and pitch compensated; those without a horizon are left out."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
         seen_px = horizons_at(horizons[name], boxes.time_utc_s)
@@ -209,8 +213,10 @@ def _stabilised(
     return _moved(pairs, horizons, moved)
 
 
-def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs:
-    """Correspondences with the camera rotations of their recordings taken off their boxes."""
+def _compensated(
+    pairs: Correspondences, rotations: Mapping[str, CameraRotation]
+) -> Correspondences:
+    """Correspondences with the camera rotations of their recordings compensated."""
 
     def moved(name: str, boxes: Boxes) -> tuple[FloatArray, BoolArray]:
         rotation_rad, _ = rotations[name].at(boxes.time_utc_s)
@@ -220,10 +226,10 @@ def _compensated(pairs: Pairs, rotations: Mapping[str, CameraRotation]) -> Pairs
 
 
 def _moved(
-    pairs: Pairs,
+    pairs: Correspondences,
     recordings: Iterable[str],
     move: Callable[[str, Boxes], tuple[FloatArray, BoolArray]],
-) -> Pairs:
+) -> Correspondences:
     """Correspondences with the boxes of some recordings moved; those that cannot be are left out.
 
     Args:
@@ -242,7 +248,7 @@ def _moved(
 
 
 def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None:
-    """Where the horizon lies in the middle of all that the camera did."""
+    """The median horizon, rows at the left and the right edge; None without any."""
     if not sum(map(len, horizons)):
         return None
     left = np.concatenate([one.left_y_px for one in horizons])
@@ -251,7 +257,7 @@ def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None
 
 
 def _fit_once(
-    inputs: FitInputs, pairs: Pairs, kind: ModelType, settings: FitSettings
+    inputs: FitInputs, pairs: Correspondences, kind: ModelType, settings: FitSettings
 ) -> Georeferencer:
     control = inputs.control_points
     east_north_m = np.stack(

@@ -1,4 +1,4 @@
-"""What is to be known of a fit: parameters, biases, residuals, and sentences for people."""
+"""Fit report: parameters, biases, residuals, and sentences for people."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.models import BoxModel
 from sightline.types import BoolArray, FloatArray
 
@@ -19,14 +19,14 @@ _UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown of the camera or the target as the fit found it.
+    """A fitted parameter of the camera or the target.
 
     Attributes:
         name: As in `PARAMETERS`, then `TARGET_PARAMETERS` where there were boxes.
         value: In ``unit``.
         sigma: Standard deviation, in ``unit``.
         unit: ``"m"``, ``"degrees"``, ``"px"`` or ``""``.
-        determined: Whether data, and not belief, says what it is.
+        determined: Whether the data, not the prior, determines it.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class SourceBias:
-    """The habit of a source of boxes at the lower edge.
+    """The lower-edge bias of a source of boxes.
 
     Attributes:
         name: Of the annotator or detector.
@@ -60,7 +60,7 @@ class SourceBias:
 
 @dataclass(frozen=True)
 class FittedBox:
-    """One box of the fit: what is left of it, and how much hangs on it.
+    """Residual and leverage of one box of the fit.
 
     Attributes:
         recording: Its recording.
@@ -69,7 +69,7 @@ class FittedBox:
         error_m: Between the model's place and the log's.
         residual_px: Between its foot and where the camera expects it, pixels; NaN where the model
             has no camera.
-        leverage: How much of the fit hangs on it, NaN where the model does not tell.
+        leverage: Its leverage on the fit, NaN where the model does not tell.
         outlier: Whether the fit took it for one.
     """
 
@@ -84,11 +84,11 @@ class FittedBox:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What is to be known about a fit.
+    """Report of a fit.
 
     Attributes:
         model: Name of the model.
-        n: Pairs that it learned from.
+        n: Correspondences that it learned from.
         asked: Boxes that there were.
         control_points: Control points that it learned from.
         recordings: Their names.
@@ -115,12 +115,12 @@ class FitReport:
     statements: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, object]:
-        """As JSON can hold it; numbers that are none become None."""
+        """The report as JSON can hold it; NaN and infinities become None."""
         return {key: _jsonable(value) for key, value in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, content: dict[str, Any]) -> FitReport:
-        """What `to_dict` wrote.
+        """Restore the report from `to_dict`.
 
         Raises:
             LookupError: A field is missing.
@@ -156,7 +156,7 @@ def _jsonable(value: object) -> object:
 def fit_report(
     model: str,
     regressor: BoxModel,
-    pairs: Pairs,
+    pairs: Correspondences,
     places: FloatArray,
     control_points: int,
 ) -> FitReport:
@@ -203,7 +203,7 @@ def fit_report(
 
 
 def _camera_report(
-    regressor: CameraRegressor, pairs: Pairs, control_points: int, outlier: BoolArray
+    regressor: CameraRegressor, pairs: Correspondences, control_points: int, outlier: BoolArray
 ) -> dict[str, Any]:
     fitted = regressor.fit_
     camera, determined = fitted.camera, fitted.determined()
@@ -253,7 +253,7 @@ def _camera_report(
 def _statements(
     parameters: list[Parameter],
     fitted: CameraFit,
-    pairs: Pairs,
+    pairs: Correspondences,
     control_points: int,
     outlier: BoolArray,
 ) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A fitted model with the plane that it works in, and what is to be known about its fit."""
+"""The georeferencer: a fitted model with its plane and its fit report."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.parameters import LOG_FOCAL
 from sightline.camera.pinhole import Camera
-from sightline.camera.registration import View
+from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, widen
 from sightline.camera.stabilisation import nominal_camera, stabilise
 from sightline.camera.state import ObservedBoxes
@@ -38,6 +38,13 @@ from sightline.types import (
 )
 
 _VIEW = ("strips", "top_px", "left_px")
+_OLD_NAMES = {
+    "drift_m": "correlated_m",
+    "drift_s": "correlation_time_s",
+    "focal_log_sigma": "log_focal_sigma",
+    "height_log_sigma": "log_height_sigma",
+}
+"""Settings of release 0.1, and their names now."""
 _DAMAGE = (
     ArithmeticError,
     AttributeError,
@@ -50,7 +57,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, eq=False)
 class Georeferencer:
-    """Says where boxes lie on the earth.
+    """Georeferences boxes with a fitted model.
 
     Attributes:
         model: Name of the model: one of `MODELS`, or another package's.
@@ -65,8 +72,8 @@ class Georeferencer:
             and ahead of that: see `sightline.platform`.
         water_level_m: The level of the water that the height of the camera is over, metres above
             the datum of the scene's water levels; None where the water was taken to stand still.
-        view: What stands still before the camera as it lies for the model, so that it shows in
-            later pictures whether it was turned since; None where no pictures tell.
+        view: Reference view of the static scene, against which later frames show whether the camera
+            was rotated since; None where there were no frames.
     """
 
     model: str
@@ -77,25 +84,25 @@ class Georeferencer:
     report: FitReport
     horizon_px: tuple[float, float] | None = None
     moving: bool = False
-    view: View | None = None
+    view: ReferenceView | None = None
     water_level_m: float | None = None
 
     @property
     def camera(self) -> Camera | None:
-        """The camera, where the model has one."""
+        """The fitted camera, where the model has one."""
         return self.regressor.camera
 
     @property
     def calibrated(self) -> CameraRegressor | None:
-        """The camera with all that is known of it, where the model is one of ours."""
+        """The camera model with its covariance, where the model is one of ours."""
         return self.regressor if isinstance(self.regressor, CameraRegressor) else None
 
     @property
-    def log_sigma_m(self) -> float:
-        """How far off the logs that it learned from were, metres east and north.
+    def reference_sigma_m(self) -> float:
+        """Standard deviation of the logs' correlated error, metres east and north.
 
-        The part that lasts: what changes from fix to fix cannot be told from the boxes' own noise,
-        and is part of each position's covariance. 0 where the model does not tell the two apart.
+        White noise from fix to fix cannot be told from the boxes' own noise, and is part of each
+        position's covariance. 0 where the model does not tell the two apart.
         """
         return self.regressor.reference_sigma_m
 
@@ -107,7 +114,7 @@ class Georeferencer:
         *,
         pose: Pose | None = None,
     ) -> Positions:
-        """Where boxes lie on the earth.
+        """Positions of boxes on the earth.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
@@ -155,7 +162,7 @@ class Georeferencer:
     def locate_body(
         self, boxes_xyxy_px: ArrayLike, source: ArrayLike | None = None
     ) -> BodyPositions:
-        """Where boxes lie relative to the platform that the camera stands on.
+        """Positions of boxes in the body frame of the camera's platform.
 
         Args:
             boxes_xyxy_px: See `locate`.
@@ -198,7 +205,7 @@ class Georeferencer:
         return placed, ~(known & self.support.holds(foot))
 
     def check_water(self, given: bool, where: str = "") -> None:
-        """Refuse to place boxes without a water level where the model needs one, or the reverse.
+        """Raise InputError where a water level is missing, or given to a model without one.
 
         Args:
             given: Whether a level is given.
@@ -220,7 +227,7 @@ class Georeferencer:
         )
 
     def above_m(self, water_level_m: ArrayLike | None) -> FloatArray:
-        """How high the water stands above the plane that the camera's height is over.
+        """Water level above the plane that the camera's height is over.
 
         Args:
             water_level_m: See `locate`.
@@ -243,7 +250,7 @@ class Georeferencer:
         return above
 
     def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
-        """Boxes as the camera would have seen them if it had lain as it did for the model.
+        """Boxes stabilised and compensated to the camera of the model.
 
         Args:
             boxes: With the state of the camera in their moments.
@@ -264,7 +271,7 @@ class Georeferencer:
         return boxes
 
     def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
-        """Boxes with their positions, by the state of the camera in their moments.
+        """Locate boxes with the camera state at their times.
 
         Args:
             boxes: As the camera saw them, with their times.
@@ -301,12 +308,12 @@ class Georeferencer:
         return LocatedBoxes.at(plain, positions)
 
     def rotation_in(
-        self, stances: Sequence[Stance], view: View | None = None
+        self, static_intervals: Sequence[StaticInterval], view: ReferenceView | None = None
     ) -> CameraRotation | None:
-        """How the camera lay in the stances of a recording, against how it lies for the model.
+        """Camera rotation in the static intervals of a recording, against the model's camera.
 
         Args:
-            stances: Of the recording.
+            static_intervals: Of the recording.
             view: What the camera of the model saw. Absent: the model's own view.
 
         Returns:
@@ -316,13 +323,13 @@ class Georeferencer:
         fit = self.regressor.camera_fit
         if fit is None or self.moving:
             return None
-        focal_log_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
+        log_focal_sigma = float(np.sqrt(fit.covariance[LOG_FOCAL, LOG_FOCAL]))
         return CameraRotation.of(
-            stances, fit.camera, view or self.view, focal_log_sigma=focal_log_sigma
+            static_intervals, fit.camera, view or self.view, log_focal_sigma=log_focal_sigma
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the model to a file, whole or not at all; see `sightline.load`.
+        """Write the model to a file, atomically; see `sightline.load`.
 
         Raises:
             InputError: The file cannot be written.
@@ -350,7 +357,7 @@ class Georeferencer:
 
 
 def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) -> Georeferencer:
-    """Read a georeferencer.
+    """Read a georeferencer from a model file.
 
     Args:
         path: Of the file.
@@ -395,9 +402,12 @@ def _build(
 
 
 def _settings(content: dict[str, Any]) -> dict[str, Any]:
-    """The model's settings; files of release 0.1 kept hyperparameters as logarithms."""
+    """Settings of a model file; release 0.1 kept logarithms, and other names."""
     settings = dict(content["settings"])
     if content["format_version"] == 1:
+        for key in {"noise", "prior"} & settings.keys():
+            if settings[key] is not None:
+                settings[key] = {_OLD_NAMES.get(k, k): v for k, v in settings[key].items()}
         for key in {"range", "bearing"} & settings.keys():
             values = np.exp(np.array(settings[key]["hyperparameters"], dtype=np.float64))
             settings[key] = {**settings[key], "hyperparameters": values.tolist()}
@@ -410,14 +420,14 @@ def _moved(boxes: ObservedBoxes, xyxy_px: FloatArray, known: BoolArray) -> Obser
     return ObservedBoxes.at(chosen.boxes.with_columns(xyxy_px=xyxy_px[rows]), chosen.state)
 
 
-def _view(tensors: dict[str, Any], landmarks: bool) -> View | None:
+def _view(tensors: dict[str, Any], landmarks: bool) -> ReferenceView | None:
     if "view.strips" not in tensors:
         return None
     strips, *places = (np.asarray(tensors[f"view.{name}"]) for name in _VIEW)
     if strips.dtype != np.uint8:
         raise ValueError("its view is no picture")
     top_px, left_px = (place.astype(np.int64) for place in places)
-    return View(strips, top_px, left_px, landmarks)
+    return ReferenceView(strips, top_px, left_px, landmarks)
 
 
 def _finite(value: float | None) -> float | None:

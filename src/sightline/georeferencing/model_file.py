@@ -29,7 +29,7 @@ def write_model_file(
     content: Mapping[str, Any],
     tensors: Mapping[str, NDArray[Any]],
 ) -> Path:
-    """Write a model, whole or not at all; equal models are equal files.
+    """Write a model file, atomically; equal models are equal files.
 
     Args:
         path: Of the file.
@@ -51,7 +51,7 @@ def write_model_file(
 
 
 def _in_order(file: bytes) -> bytes:
-    """The same file with its header sorted.
+    """The same file with its header sorted, so that it is reproducible.
 
     The library writes the metadata in an order that changes from one run to the next.
     """
@@ -95,7 +95,7 @@ def read_model_file(
 
 
 def damaged(path: str | os.PathLike[str], error: Exception) -> ModelFileError:
-    """The one line about a model file of which a part does not fit the others."""
+    """One-line message about a model file of which a part does not fit the others."""
     # What libraries say about an array can run over several lines.
     reason = " ".join(str(error).split())
     return ModelFileError(f"{path}: is damaged ({reason}); fit the model again")

@@ -1,4 +1,4 @@
-"""The models that place boxes: the seam, and the known ones by name.
+"""The seam of stage 3: protocols of a model that locates boxes, and models by name.
 
 A model type is looked up by name, among ours, the paper's, and those that other packages register
 as entry points of the group ``sightline.models``; or it is handed in as an object.
@@ -16,10 +16,10 @@ from sightline._plugins import loaded, registered
 from sightline.camera.calibration import CameraFit
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.errors import InputError, unknown_name
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.observations import CONTROL_POINT_SIGMA_M, CameraObservations
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.paper.model import PAPER_MODELS, PaperModel, paper_model
@@ -37,7 +37,7 @@ ENTRY_POINT_GROUP = "sightline.models"
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What a model learns from: boxes beside the places of their targets, and fixed points.
+    """Everything a model learns from: correspondences, control points and landmarks.
 
     Attributes:
         correspondences: Boxes with places, one row a box; boxes as a camera sees them that lies as
@@ -54,7 +54,7 @@ class Observations:
         source_priors: Of the lower edge of single sources of boxes, by name.
     """
 
-    correspondences: Pairs
+    correspondences: Correspondences
     image_size_px: tuple[int, int]
     control_points: Landmarks
     landmarks: Landmarks
@@ -63,31 +63,31 @@ class Observations:
     moving: bool = False
     tidal: bool = False
     prior: CameraPrior | None = None
-    source_priors: Mapping[str, SourceBelief] = field(default_factory=dict)
+    source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
 
 
 class BoxModel(Protocol):
-    """A fitted model: boxes in, places in metres with covariance out."""
+    """A fitted model: positions in metres with covariance from boxes."""
 
     @property
     def camera(self) -> Camera | None:
-        """The camera, where the model has one."""
+        """The fitted camera, where the model has one."""
         ...
 
     @property
     def camera_fit(self) -> CameraFit | None:
-        """How well the camera is known, where the model has one."""
+        """The fitted camera with its covariance, where the model has one."""
         ...
 
     @property
     def reference_sigma_m(self) -> float:
-        """Lasting error of the logs that it learned from, metres; 0 where it cannot tell."""
+        """Correlated error of the logs that it learned from, metres; 0 where not estimated."""
         ...
 
     def locate(
         self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
     ) -> Placement:
-        """Places of boxes.
+        """Positions of boxes.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels, x1, y1, x2, y2.
@@ -98,20 +98,20 @@ class BoxModel(Protocol):
         ...
 
     def state(self) -> tuple[Arrays, Settings]:
-        """What `ModelType.load` needs to place boxes the same."""
+        """State from which `ModelType.load` restores the model."""
         ...
 
 
 class ModelType(Protocol):
-    """Learns models of one kind, and reads them back."""
+    """Fits models of one kind, and restores them."""
 
     @property
     def name(self) -> str:
-        """As `fit` and model files have it."""
+        """Name of the kind, as `fit` and model files have it."""
         ...
 
     def fit(self, observations: Observations, *, seed: int = 0) -> BoxModel:
-        """Learn a model.
+        """Fit a model.
 
         Args:
             observations: What there is to learn from.
@@ -123,7 +123,7 @@ class ModelType(Protocol):
         ...
 
     def load(self, arrays: Arrays, settings: Settings) -> BoxModel:
-        """The model that `BoxModel.state` described; raises where a part is missing or damaged."""
+        """Restore a model from `BoxModel.state`; raises where a part is missing or damaged."""
         ...
 
 
@@ -147,7 +147,7 @@ class PaperModelType:
 
 @dataclass(frozen=True)
 class CameraModelType:
-    """The unknown camera, with or without a Gaussian process on its residual.
+    """The camera model, with or without a Gaussian process on its residual.
 
     Attributes:
         name: Of the model.
@@ -189,12 +189,12 @@ class CameraModelType:
 
 
 def control_landmarks(pixel_px: FloatArray, east_north_m: FloatArray) -> Landmarks:
-    """Control points with how far off each may lie: read off an aerial picture, or surveyed."""
+    """Control points as landmarks, with the error of an aerial picture or of a survey."""
     return Landmarks(pixel_px, east_north_m, np.full(len(pixel_px), CONTROL_POINT_SIGMA_M))
 
 
 def model_type(model: str | ModelType) -> ModelType:
-    """A model type by its name, or one's own as it is.
+    """A model type by its name; an object is returned as it is.
 
     Args:
         model: One of `MODELS`, a name that another package registers under the entry point group

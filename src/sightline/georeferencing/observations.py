@@ -1,4 +1,4 @@
-"""Everything that a camera model learns from, in one object."""
+"""Observations of a camera model: correspondences and landmarks in one object."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from sightline.camera.observations import NO_SOURCE, Landmarks, Sightings
+from sightline.camera.observations import NO_SOURCE, Landmarks, PointCorrespondences
 from sightline.errors import FitError, InputError
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.types import BoolArray, FloatArray, IntArray, StrArray, check_boxes
 
 CONTROL_POINT_SIGMA_M = 0.1
@@ -24,7 +24,7 @@ def _absent() -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class CameraObservations:
-    """Boxes whose target's place is known, one row a box, and pixels whose place is known.
+    """Boxes with the known place of their target, one row a box, and landmarks.
 
     Attributes:
         boxes_xyxy_px: (N, 4) float64.
@@ -32,7 +32,7 @@ class CameraObservations:
         source: (N,) str, who made each box. Absent: one unnamed source.
         recording: (N,) the recording of each box, names or numbers. Absent: one.
         vessel: (N,) whose box it is, where there are several: each has a log. Absent: one.
-        velocity_mps: (N, 2) float64 of the target, east and north; tells how far a clock is off.
+        velocity_mps: (N, 2) float64 of the target, east and north; tells the clock offset.
             Absent: it stands still.
         time_s: (N,) float64 of each box, seconds; tells which errors of the log are alike. Absent
             or NaN: those of a recording are not.
@@ -96,9 +96,13 @@ class CameraObservations:
 
     @classmethod
     def of(
-        cls, pairs: Pairs, *, above_m: FloatArray | None = None, landmarks: Landmarks | None = None
+        cls,
+        pairs: Correspondences,
+        *,
+        above_m: FloatArray | None = None,
+        landmarks: Landmarks | None = None,
     ) -> Self:
-        """The observations that pairs and landmarks make.
+        """The observations from correspondences and landmarks.
 
         Args:
             pairs: Boxes and the places of their targets.
@@ -115,35 +119,35 @@ class CameraObservations:
             velocity_mps=pairs.velocity_mps,
             time_s=pairs.boxes.time_utc_s,
             above_m=np.zeros(len(pairs)) if above_m is None else above_m,
-            bias_only=pairs.beside,
+            bias_only=pairs.bias_only,
             landmarks=landmarks or Landmarks.none(),
         )
 
     @cached_property
     def sources(self) -> tuple[str, ...]:
-        """Names of the sources, sorted: the order of a fit's biases."""
+        """Names of the sources, sorted: the order of the fitted biases."""
         return tuple(str(name) for name in np.unique(self.source))
 
     @cached_property
     def group(self) -> IntArray:
-        """(N,) the number of each box's recording."""
+        """(N,) index of each box's recording."""
         return _numbered(self.recording)
 
     @cached_property
     def log(self) -> IntArray:
-        """(N,) the number of the log that tells each box's place: one a vessel and recording."""
+        """(N,) index of the log of each box's place: one a vessel and recording."""
         vessel = _numbered(self.vessel)
         return _numbered(self.group * (int(vessel.max(initial=0)) + 1) + vessel)
 
-    def sightings(self) -> Sightings:
-        """Feet of the boxes, then the landmarks, as the fit of a camera takes them."""
+    def sightings(self) -> PointCorrespondences:
+        """Foot points of the boxes, then the landmarks, for the fit of a camera."""
         boxes, known, n, m = self.boxes_xyxy_px, self.landmarks, len(self), len(self.landmarks)
         foot = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
         source = np.searchsorted(self.sources, self.source) if n else np.empty(0)
         # Points of a map are independent of one another: each is a group of its own.
         alone = np.arange(m)
         place = np.concatenate([self.east_north_m, known.east_north_m])
-        return Sightings(
+        return PointCorrespondences(
             pixel_px=np.concatenate([foot, known.pixel_px]),
             east_m=place[:, 0],
             north_m=place[:, 1],

@@ -1,4 +1,4 @@
-"""One box at a time: what `CameraRegressor.predict` does with many, in plain numbers.
+"""Fast path of `CameraRegressor.predict` for a single box, in plain numbers.
 
 A live tracker asks for one box and waits for the answer. Then nearly all the time of array
 operations is that of calling them, some hundred of them; numbers take a few microseconds.
@@ -18,7 +18,7 @@ from sightline.types import FloatArray
 
 
 class FittedCamera(Protocol):
-    """What of a fitted `CameraRegressor` is needed to place a box."""
+    """Protocol of what `place_one` needs of a fitted `CameraRegressor`."""
 
     camera_: Camera
     fit_: CameraFit
@@ -30,7 +30,7 @@ class FittedCamera(Protocol):
     clock_variance: float
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
-        """A source's bias, pixels and metres, and a root of the covariance with the camera's."""
+        """Bias of a source, pixels and metres, and a root of the covariance of all parameters."""
         ...
 
 
@@ -41,7 +41,7 @@ def place_one(
     largest_relative_sigma: float,
     above_m: float = 0.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Where one box lies.
+    """Position of one box.
 
     Args:
         model: A fitted model.

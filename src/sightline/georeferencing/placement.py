@@ -1,4 +1,4 @@
-"""Where a model puts boxes, in its plane."""
+"""Positions of boxes in the plane of a model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sightline.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Places of boxes in the plane of a model, one row a box; NaN where there is none.
+    """Positions with covariances in the plane of a model, one row a box; NaN where there is none.
 
     Attributes:
         east_north_m: (N, 2) float64, metres; starboard and ahead where the camera moves.

@@ -1,11 +1,11 @@
-"""Whether a camera still stands as it did when its model was fitted.
+"""Recalibration: priors from an earlier model, and detection of a camera change since.
 
-Where pictures show what the model's view shows, they tell; see `sightline.camera.rotation`.
-Elsewhere boxes and a log do.
-A camera that was bumped shows as a shift of all that it sees: columns say by how much its heading
-changed, rows its pitch, and their slope across the picture its roll. The shift is estimated against
-the model, with the model's noise, and again over time (a likelihood ratio over all moments at which
-it may have happened; Page 1954, Hinkley 1970).
+Where frames show the static scene of the model's reference view, they are registered against it;
+see `sightline.camera.rotation`. Elsewhere boxes are compared with a log. A camera that was bumped
+shows as a shift of all that it sees: columns say by how much its heading changed, rows its pitch,
+and their slope across the picture its roll. The shift is estimated against the model, with the
+model's noise, and again over time (a likelihood ratio over all moments at which it may have
+happened; Page 1954, Hinkley 1970).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.camera.motion import Stance
+from sightline.camera.motion import StaticInterval
 from sightline.camera.parameters import (
     CAMERA,
     HEADING,
@@ -29,7 +29,7 @@ from sightline.camera.pinhole import project_with_jacobian
 from sightline.camera.priors import CameraPrior
 from sightline.camera.rotation import seen_again
 from sightline.errors import InputError
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.types import FloatArray
 
@@ -43,8 +43,8 @@ _MOST_DEG = 3.0
 
 
 @dataclass(frozen=True)
-class Moved:
-    """How a camera was turned since its model was fitted.
+class CameraChange:
+    """A camera rotation since the model was fitted.
 
     Attributes:
         recording: In which recording it shows.
@@ -53,7 +53,8 @@ class Moved:
         pitch_deg: Downwards.
         roll_deg: The right end of the horizon downwards.
         sigma_deg: Standard deviations of the three.
-        gain: By how much likelier the boxes are with the turn than without it, in nats.
+        log_likelihood_ratio: By how much likelier the boxes are with the turn than without it, in
+            nats.
     """
 
     recording: str
@@ -62,11 +63,11 @@ class Moved:
     pitch_deg: float
     roll_deg: float
     sigma_deg: tuple[float, float, float]
-    gain: float
+    log_likelihood_ratio: float
 
     @property
     def angles(self) -> str:
-        """The three in words."""
+        """The three angles in words."""
         return (
             f"{self.heading_deg:+.2f} degrees in heading, {self.pitch_deg:+.2f} in pitch and "
             f"{self.roll_deg:+.2f} in roll"
@@ -74,11 +75,11 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Since:
-    """What a new day says of how the camera of a model lies now.
+class CameraChangeReport:
+    """Whether the camera has changed since its model was fitted, with reasons in words.
 
     Attributes:
-        turned: Whether it no longer lies as for the model.
+        turned: Whether the camera was rotated since.
         statements: What is known of it, in words.
     """
 
@@ -87,11 +88,11 @@ class Since:
 
 
 def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> CameraPrior:
-    """What a model believes of its camera, as beliefs before a new day.
+    """The camera prior for a new fit, from an earlier model.
 
     Args:
         model: With a camera.
-        turned: Whether the camera was turned since, so that its pitch and roll tell nothing.
+        turned: Whether the camera was rotated since, so that its pitch and roll tell nothing.
         inflation: By how much standard deviations grow: a model is surer of itself than it ought.
 
     Raises:
@@ -107,9 +108,9 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     prior = replace(
         usual,
         height_m=camera.height_m,
-        height_log_sigma=min(float(sigma[LOG_HEIGHT]), usual.height_log_sigma),
+        log_height_sigma=min(float(sigma[LOG_HEIGHT]), usual.log_height_sigma),
         focal_widths=camera.focal_px / model.image_size_px[0],
-        focal_log_sigma=min(float(sigma[LOG_FOCAL]), usual.focal_log_sigma),
+        log_focal_sigma=min(float(sigma[LOG_FOCAL]), usual.log_focal_sigma),
     )
     if turned:
         return prior
@@ -117,28 +118,30 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     return replace(prior, pitch_deg=(camera.pitch_deg, pitch), roll_deg=(camera.roll_deg, roll))
 
 
-def lies_since(
-    model: Georeferencer, pairs: Pairs, stances: Mapping[str, Sequence[Stance]]
-) -> Since:
-    """Whether a camera was turned since its model was fitted.
+def detect_camera_change(
+    model: Georeferencer,
+    pairs: Correspondences,
+    static_intervals: Mapping[str, Sequence[StaticInterval]],
+) -> CameraChangeReport:
+    """Detect whether the camera was rotated since its model was fitted.
 
-    Pictures tell it where they show what the model's view shows, to some hundredths of a degree;
-    boxes and the log tell it elsewhere.
+    Frames show it to some hundredths of a degree where they show the static scene of the model's
+    reference view; boxes and the log show it elsewhere.
 
     Args:
         model: With a camera.
         pairs: Boxes and places of a new day, in the model's plane.
-        stances: How the camera stood in the new day's recordings, by their names.
+        static_intervals: Of the new day's recordings, by their names.
 
     Raises:
         InputError: The model has no camera.
     """
-    by_boxes = {moved.recording: moved for moved in moved_since(model, pairs)}
+    by_boxes = {moved.recording: moved for moved in camera_changes(model, pairs)}
     camera, view = model.camera, model.view
-    assert camera is not None, "refused by `moved_since`"
+    assert camera is not None, "refused by `camera_changes`"
     seen = {
         name: own
-        for name, own in stances.items()
+        for name, own in static_intervals.items()
         if own and view is not None and seen_again(view, own[0].view, camera)
     }
     said = []
@@ -155,7 +158,7 @@ def lies_since(
         if name not in seen:
             said.append(
                 f"The camera was turned: from recording {name} on by {moved.angles} against the "
-                f"old model, by its boxes ({moved.gain:.0f} nats)."
+                f"old model, by its boxes ({moved.log_likelihood_ratio:.0f} nats)."
             )
         elif model.rotation_in(seen[name]) is None:
             said.append(
@@ -168,16 +171,18 @@ def lies_since(
         said = [
             f"The camera stands as it did when the old model was fitted, as far as the {what} tell."
         ]
-    return Since(turned=by_pictures or bool(by_boxes), statements=tuple(said))
+    return CameraChangeReport(turned=by_pictures or bool(by_boxes), statements=tuple(said))
 
 
-def moved_since(model: Georeferencer, pairs: Pairs, *, alike_s: float = 2.0) -> tuple[Moved, ...]:
-    """Where boxes say that the camera was turned; nothing where it was not.
+def camera_changes(
+    model: Georeferencer, pairs: Correspondences, *, correlation_time_s: float = 2.0
+) -> tuple[CameraChange, ...]:
+    """Camera rotations that boxes and logs show; none where there are none.
 
     Args:
         model: With a camera.
         pairs: Boxes and places of a new day, in the model's plane.
-        alike_s: Boxes nearer in time than this have errors in common, and count as one.
+        correlation_time_s: Boxes nearer in time than this have errors in common, and count as one.
 
     Raises:
         InputError: The model has no camera.
@@ -191,13 +196,15 @@ def moved_since(model: Georeferencer, pairs: Pairs, *, alike_s: float = 2.0) -> 
         rows = rows[np.argsort(pairs.boxes.time_utc_s[rows], kind="stable")]
         if rows.size < _FEWEST:
             continue
-        found = _turn(model, pairs[rows], str(name), alike_s)
+        found = _turn(model, pairs[rows], str(name), correlation_time_s)
         if found is not None:
             out.append(found)
     return tuple(out)
 
 
-def _turn(model: Georeferencer, pairs: Pairs, name: str, alike_s: float) -> Moved | None:
+def _turn(
+    model: Georeferencer, pairs: Correspondences, name: str, correlation_time_s: float
+) -> CameraChange | None:
     residual, jacobian, sigma, time_s = _residuals(model, pairs)
     standard = residual / sigma
     assert model.camera is not None, "the caller has looked"
@@ -209,7 +216,7 @@ def _turn(model: Georeferencer, pairs: Pairs, name: str, alike_s: float) -> Move
     if time_s.size < _FEWEST:
         return None
     apart = np.maximum(np.median(np.diff(time_s)), 1e-3)
-    weight = min(float(apart) / alike_s, 1.0) if time_s.size > 1 else 1.0
+    weight = min(float(apart) / correlation_time_s, 1.0) if time_s.size > 1 else 1.0
     best: tuple[float, int, FloatArray, FloatArray] | None = None
     for first in range(time_s.size - _FEWEST + 1):
         a = (jacobian[first:] / sigma[first:, :, None]).reshape(-1, 3)
@@ -220,26 +227,26 @@ def _turn(model: Georeferencer, pairs: Pairs, name: str, alike_s: float) -> Move
             normal = a.T @ (a * thin[:, None]) + np.eye(3) / np.radians(_MOST_DEG) ** 2
             turn = np.linalg.solve(normal, a.T @ (b * thin))
             left = b - a @ turn
-        gain = weight * float(np.sum(_huber(b) - _huber(left)))
-        if best is None or gain > best[0]:
-            best = (gain, first, turn, np.linalg.inv(normal))
+        ratio = weight * float(np.sum(_huber(b) - _huber(left)))
+        if best is None or ratio > best[0]:
+            best = (ratio, first, turn, np.linalg.inv(normal))
     assert best is not None, "there are enough boxes"
-    gain, first, turn, covariance = best
+    ratio, first, turn, covariance = best
     # The moment was chosen among so many.
-    gain -= float(np.log(time_s.size))
+    ratio -= float(np.log(time_s.size))
     degrees = np.degrees(turn)
-    if gain < _SURE or np.abs(degrees).max() < _LEAST_DEG:
+    if ratio < _SURE or np.abs(degrees).max() < _LEAST_DEG:
         return None
     heading_deg, pitch_deg, roll_deg = degrees.tolist()
     spread = np.degrees(np.sqrt(np.diag(covariance)))
-    return Moved(
+    return CameraChange(
         recording=name,
         since_utc_s=float(time_s[first]),
         heading_deg=heading_deg,
         pitch_deg=pitch_deg,
         roll_deg=roll_deg,
         sigma_deg=(float(spread[0]), float(spread[1]), float(spread[2])),
-        gain=gain,
+        log_likelihood_ratio=ratio,
     )
 
 
@@ -249,9 +256,9 @@ def _huber(standard: FloatArray) -> FloatArray:
 
 
 def _residuals(
-    model: Georeferencer, pairs: Pairs
+    model: Georeferencer, pairs: Correspondences
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Seen minus expected feet, by the turns (N, 2, 3), their spread (N, 2), and times."""
+    """Residuals of foot points, Jacobian by the rotation (N, 2, 3), standard deviations, times."""
     regressor = model.calibrated
     assert regressor is not None, "the caller has looked"
     fit = regressor.fit_

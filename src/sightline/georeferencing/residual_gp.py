@@ -1,4 +1,4 @@
-"""What a camera leaves of the positions: Gaussian processes in bearing and log-range.
+"""Gaussian processes on the residual of a camera model, in bearing and log-range.
 
 Errors of a single camera lie along the line of sight and grow with the square of the range, so
 that the residual is learned in bearing and in the logarithm of the range. The box's apparent
@@ -39,7 +39,7 @@ _LOST = 1e-4
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Of one Gaussian process, all positive.
+    """Hyperparameters of one Gaussian process, all positive.
 
     Attributes:
         amplitude: Standard deviation of the smooth part.
@@ -59,7 +59,7 @@ class Hyperparameters:
 
     @classmethod
     def from_log(cls, values: ArrayLike) -> Hyperparameters:
-        """From the logarithms that `to_log` gives, to within their rounding."""
+        """The hyperparameters from their logarithms, to within rounding."""
         return cls.from_list(np.exp(np.asarray(values, dtype=np.float64)).tolist())
 
     def to_list(self) -> list[float]:
@@ -80,7 +80,7 @@ class Hyperparameters:
 
 
 class ResidualProcess:
-    """One Gaussian process with an offset for each recording and noise that differs by point.
+    """A Gaussian process with an offset for each recording and heteroscedastic noise.
 
     Args:
         inputs: (N, D) float64.
@@ -88,8 +88,8 @@ class ResidualProcess:
         noise: (N,) float64, the standard deviation of each target.
         group: (N,) int64, the recording of each.
         hyperparameters: Absent: the most probable under priors about ``length_scales``.
-        length_scales: (D,) what is believed of the length scales.
-        log_error: What the lasting error of the logs makes of the targets. It is no property of
+        length_scales: (D,) prior medians of the length scales.
+        log_error: What the correlated error of the logs makes of the targets. It is no property of
             boxes, so that nothing of it is in what is predicted. Absent: nothing.
     """
 
@@ -125,7 +125,7 @@ class ResidualProcess:
         self._exponents = np.concatenate([scaled.T, np.ones((1, len(scaled))), half[None, :]])
 
     def predict(self, inputs: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance in a recording that was not learned from, noise included.
+        """Predictive mean and variance in an unseen recording, noise included.
 
         The variance errs to the larger side, by at most a ten thousandth of the process's own.
 
@@ -155,7 +155,7 @@ class ResidualProcess:
         return mean, variance + self._of_new_recording + (h.noise * noise) ** 2
 
     def _explained(self, kernel: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(M,) how much of the variance the training points explain, of (M, N) of the kernel."""
+        """(M,) variance explained by the training points, from the kernel (M, N)."""
         out = np.zeros(len(kernel), dtype=np.float32)
         for first in range(0, self._whitening.shape[1], _BLOCK):
             # Above these rows the block is zero.
@@ -174,7 +174,7 @@ class ResidualProcess:
 
     @cached_property
     def _of_new_recording(self) -> float:
-        """The variance of the offset of a recording that was not learned from.
+        """Variance of the offset of an unseen recording.
 
         How much recordings differ was itself estimated from few of them: the offset of another
         one follows Student's t with about as many degrees of freedom as there were recordings, n,
@@ -222,7 +222,7 @@ class ResidualProcess:
 
 
 class LogLikelihood:
-    """The logarithm of the likelihood of targets, by the logarithms of the hyperparameters.
+    """Log-likelihood of targets as a function of the hyperparameters' logarithms.
 
     Args:
         inputs: (N, D) float64.
@@ -245,7 +245,7 @@ class LogLikelihood:
         self._squares = _squared_differences(inputs).reshape(inputs.shape[1], -1)
 
     def __call__(self, log_parameters: FloatArray) -> tuple[float, FloatArray]:
-        """The value, but for a constant, and its gradient.
+        """The log-likelihood up to a constant, and its gradient.
 
         Args:
             log_parameters: (3 + D,) as `Hyperparameters.to_log` gives them.
@@ -275,7 +275,7 @@ class LogLikelihood:
 
 
 def _rest(h: Hyperparameters, noise: FloatArray, same: FloatArray) -> FloatArray:
-    """(N, N) the covariance that is not the smooth part: of recordings and of noise."""
+    """(N, N) covariance of the recording offsets and the noise."""
     out = h.recording**2 * same
     jitter = 1e-10 * (h.amplitude**2 + h.recording**2)
     out[np.diag_indices_from(out)] += (h.noise * noise) ** 2 + jitter
@@ -322,5 +322,5 @@ def _same(group: IntArray) -> FloatArray:
 
 
 def _squared_differences(points: FloatArray) -> FloatArray:
-    """(D, N, N) of (N, D) points."""
+    """(D, N, N) squared differences between points (N, D)."""
     return np.square(points.T[:, :, None] - points.T[:, None, :])

@@ -1,4 +1,4 @@
-"""Where in the image a model has learned: beyond it, it extrapolates."""
+"""The support of a model in the image: beyond it, it extrapolates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MARGIN = (0.02, 0.015)
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """The convex hull of the pixels that a model learned from, widened a little.
+    """Convex hull of the pixels that a model learned from, slightly widened.
 
     Attributes:
         planes: (M, 3) float64; a pixel is inside where ``planes[:, :2] @ pixel + planes[:, 2]``
@@ -39,5 +39,5 @@ class Support:
         return cls(np.asarray(ConvexHull(widened).equations, dtype=np.float64))
 
     def holds(self, pixel_px: FloatArray) -> BoolArray:
-        """(N,) bool, which of (N, 2) pixels lie inside."""
+        """(N,) bool, whether (N, 2) pixels lie inside."""
         return np.asarray((pixel_px @ self.planes[:, :2].T + self.planes[:, 2] <= 1e-9).all(axis=1))

@@ -14,7 +14,7 @@ from sightline.errors import InputError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording, Scene
-from sightline.scene.correspondences import scene_pairs
+from sightline.scene.correspondences import scene_correspondences
 from sightline.synchronisation import LARGEST_GAP_S, Synchronised, synchronise
 from sightline.types import BoolArray, FloatArray
 
@@ -93,7 +93,7 @@ def learn_size(scene: Scene, georeferencer: Georeferencer) -> TargetSize:
     camera = camera_of(georeferencer).camera_
     if not any(r.boxes_path is not None and r.fixes_path is not None for r in scene.recordings):
         return usual
-    pairs = scene_pairs(scene, georeferencer.plane)
+    pairs = scene_correspondences(scene, georeferencer.plane)
     if len(pairs) < _FEWEST_BOXES:
         return usual
     east, north = (

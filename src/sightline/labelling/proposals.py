@@ -9,7 +9,7 @@ import numpy as np
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.expected import Expected, TargetSize, expect, place_of
-from sightline.labelling.snapping import GATE, Background, Belief, Look, snap
+from sightline.labelling.snapping import GATE, Background, BoxPrior, Look, snap
 from sightline.scene import Recording
 from sightline.synchronisation import check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, Frame, IntArray, StrArray
@@ -186,7 +186,7 @@ class _View:
     frame: int
     time_utc_s: float
     expected: Expected
-    belief: Belief | None
+    belief: BoxPrior | None
     look: Look | None
     seen: Boxes | None
     reason: str
@@ -211,7 +211,7 @@ def _view(frame: Frame, expected: Expected, background: Background, seen: Boxes 
         else:
             sigma = np.hypot(expected.sigma_px[0], _HABIT_PX)
             sigma = np.hypot(sigma, _ASIDE * size)
-            belief = Belief(inside, sigma, _FIRST_SHAPE_SIGMA)
+            belief = BoxPrior(inside, sigma, _FIRST_SHAPE_SIGMA)
             look = Look.at(background, frame.image_bgr, belief)
     return _View(frame.index, frame.time_utc_s, expected, belief, look, seen, reason)
 
@@ -239,7 +239,7 @@ def _choose(views: list[_View]) -> list[tuple[FloatArray, float, str]]:
             foot = y2 + lower * (y2 - y1)
             half, tall = 0.5 * ratio[0] * (x2 - x1), ratio[1] * (y2 - y1)
             middle = 0.5 * (x1 + x2)
-            belief = Belief(
+            belief = BoxPrior(
                 np.array([middle - half, foot - tall, middle + half, foot]),
                 belief.place_sigma_px,
                 _SHAPE_SIGMA,
@@ -248,12 +248,12 @@ def _choose(views: list[_View]) -> list[tuple[FloatArray, float, str]]:
     return second
 
 
-def _belief(view: _View) -> Belief:
+def _belief(view: _View) -> BoxPrior:
     assert view.belief is not None
     return view.belief
 
 
-def _one(view: _View, belief: Belief | None) -> tuple[FloatArray, float, str]:
+def _one(view: _View, belief: BoxPrior | None) -> tuple[FloatArray, float, str]:
     none = np.full(4, np.nan)
     if belief is None or view.look is None:
         return none, 0.0, view.reason

@@ -104,7 +104,7 @@ class Background:
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class BoxPrior:
     """Where a box is expected, and how large.
 
     Attributes:
@@ -143,7 +143,7 @@ class Look:
     corner_px: tuple[int, int]
 
     @classmethod
-    def at(cls, background: Background, image_bgr: Image, belief: Belief) -> Look:
+    def at(cls, background: Background, image_bgr: Image, belief: BoxPrior) -> Look:
         """What a frame shows as far as a box may lie from where it is expected."""
         height, width = image_bgr.shape[:2]
         box, sigma = belief.xyxy_px, belief.place_sigma_px
@@ -156,7 +156,7 @@ class Look:
         return cls(background.contrast(image_bgr, (left, top, right, bottom)), (left, top))
 
 
-def snap(look: Look, belief: Belief) -> tuple[FloatArray, float] | None:
+def snap(look: Look, belief: BoxPrior) -> tuple[FloatArray, float] | None:
     """The most probable box: what stands out inside it, and what is expected.
 
     A pixel of contrast ``c`` speaks for being part of the boat by ``min(c, 8) - 3``, and against it
@@ -200,7 +200,7 @@ def snap(look: Look, belief: Belief) -> tuple[FloatArray, float] | None:
     return best + corner, strength
 
 
-def _rectangles(belief: Belief, shape: tuple[int, ...], corner_px: tuple[int, int]) -> IntArray:
+def _rectangles(belief: BoxPrior, shape: tuple[int, ...], corner_px: tuple[int, int]) -> IntArray:
     """(N, 4) rectangles within the gate, on a grid that is fine by their size."""
     size = belief.xyxy_px[2:] - belief.xyxy_px[:2]
     middle = 0.5 * (belief.xyxy_px[0] + belief.xyxy_px[2]) - corner_px[0]

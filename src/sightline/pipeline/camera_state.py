@@ -1,4 +1,4 @@
-"""Whether a camera that ought to stand still did, and the state that its boxes are placed by."""
+"""Camera motion monitoring, and the camera state by which boxes are located."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.camera.motion import CameraMotionWatch, CameraTurn, Stance
+from sightline.camera.motion import CameraMotionDetector, CameraTurn, StaticInterval
 from sightline.camera.rotation import seen_again
 from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.camera.static_intervals import LOOKS_APART_S, LOOKS_OF_REFERENCE, least_turn_deg
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording
-from sightline.scene.camera_state import recording_stances, scene_horizons
+from sightline.scene.camera_state import recording_static_intervals, scene_horizons
 from sightline.types import Boxes, FloatArray, Frame, rfc3339
 from sightline.water import WaterLevels
 
@@ -31,7 +31,7 @@ _logger = logging.getLogger(__name__)
 
 
 class CameraMotionMonitor:
-    """Observes some of the frames that pass, and notes when their camera was rotated.
+    """Observes frames, and detects rotations of a camera that should be static.
 
     A camera that moves anyway, or whose horizon lies outside the picture, is not monitored.
     """
@@ -44,12 +44,12 @@ class CameraMotionMonitor:
         compensate: bool = True,
         water: WaterLevels | None = None,
     ) -> None:
-        """Take from the model where the horizon lies, and what stood still before it.
+        """Take the horizon and the reference view of the model.
 
         Args:
             model: Of the camera.
-            warn_of: The source, where each rotation is to be warned of as it is noticed.
-            compensate: Whether boxes are to be told of rotations.
+            warn_of: The source, where each rotation is to be warned of as it is detected.
+            compensate: Whether rotations are compensated in boxes.
             water: How high the water stands.
         """
         self._history = CameraHistory(water=water)
@@ -62,28 +62,28 @@ class CameraMotionMonitor:
 
     @property
     def history(self) -> CameraHistory:
-        """What is known by now."""
+        """The camera history so far."""
         return self._history
 
     @property
     def able(self) -> bool:
-        """Whether any frame is looked at."""
+        """Whether the camera can be monitored."""
         return self._watch is not None
 
     def observe(self, frame: Frame) -> CameraTurn | None:
-        """Observe a frame, where the last was long enough ago; the rotation noticed in it."""
+        """Observe a frame, at most one a second; returns the rotation detected in it."""
         if self._watch is None or not frame.time_utc_s >= self._next_s:
             return None
         if frame.image_bgr.shape[1::-1] != self._size_px:
             return None
         self._next_s = frame.time_utc_s + LOOKS_APART_S
         turn = self._watch.update(frame)
-        stances = self._watch.stances
-        if len(stances) != self._known:
-            if self._known == 0 and not _recognised(self._model, stances):
+        static_intervals = self._watch.static_intervals
+        if len(static_intervals) != self._known:
+            if self._known == 0 and not _recognised(self._model, static_intervals):
                 self._warn(_UNRECOGNISED)
-            self._known = len(stances)
-            rotation = self._model.rotation_in(stances)
+            self._known = len(static_intervals)
+            rotation = self._model.rotation_in(static_intervals)
             if self._compensate:
                 self._history = replace(self._history, rotation=rotation)
             if turn is None and rotation is not None:
@@ -102,7 +102,7 @@ class CameraMotionMonitor:
             _logger.warning("%s: %s", self._warn_of, sentences)
 
     def observed(self, batches: Iterable[Boxes]) -> Iterator[ObservedBoxes]:
-        """Boxes with the state of the camera, buffered until no earlier rotation can be detected.
+        """Buffer boxes until no earlier rotation can still be detected.
 
         Args:
             batches: In the order of time, of frames that were observed.
@@ -122,12 +122,12 @@ class CameraMotionMonitor:
 def recording_history(
     recording: Recording, model: Georeferencer, *, pictures: bool = True
 ) -> CameraHistory:
-    """How the camera lay in a recording against how it lies for a model, and the water level.
+    """Camera rotation, horizons and water levels of a recording, against a model.
 
     Args:
         recording: With or without pictures.
-        model: To place its boxes.
-        pictures: Whether its pictures are asked if the camera was rotated.
+        model: To locate its boxes.
+        pictures: Whether its frames are observed for camera rotation.
 
     Raises:
         InputError: The recording has water levels and the model knows of none, or the reverse.
@@ -136,34 +136,34 @@ def recording_history(
     model.check_water(water is not None, f"recording {recording.name}: ")
     rotation = None
     if pictures and model.camera is not None and not model.moving:
-        rotation = model.rotation_in(recording_stances(recording))
+        rotation = model.rotation_in(recording_static_intervals(recording))
     return CameraHistory(rotation, scene_horizons(recording), water)
 
 
 def camera_turns(recording: Recording, model: Georeferencer) -> str | None:
-    """What the pictures of a recording say of turns of its camera.
+    """Camera rotations that the frames of a recording show, in words.
 
     Args:
         recording: With or without pictures.
-        model: Says how its camera lies.
+        model: Whose camera it is compared with.
 
     Returns:
-        A sentence or more, where the camera was turned in the recording, or lay otherwise than
-        for the model, or its pictures cannot be compared with what the model's camera saw; None
-        where it lay as for the model, or there are no pictures or no view to compare.
+        A sentence or more, where the camera was rotated in the recording or against the model's
+        camera, or its frames cannot be registered against the model's reference view; None where
+        it was not rotated, or there are no frames or no view to compare.
     """
     if model.camera is None or model.moving:
         return None
-    stances = recording_stances(recording)
-    rotation = model.rotation_in(stances)
-    seen = recording.source is None or _recognised(model, stances)
+    static_intervals = recording_static_intervals(recording)
+    rotation = model.rotation_in(static_intervals)
+    seen = recording.source is None or _recognised(model, static_intervals)
     said = [] if seen else [_UNRECOGNISED]
     said += [] if rotation is None else rotation.sentences()
     return f"Recording {recording.name}: {' '.join(said)}" if said else None
 
 
 def turn_sentence(turn: CameraTurn) -> str:
-    """A turn in words."""
+    """A camera rotation in words."""
     heading = (
         f"{turn.heading_deg:+.2f} degrees in heading"
         if np.isfinite(turn.heading_deg)
@@ -176,30 +176,30 @@ def turn_sentence(turn: CameraTurn) -> str:
     )
 
 
-def _recognised(model: Georeferencer, stances: Sequence[Stance]) -> bool:
-    """Whether a recording's beginning shows what stood still before the model's camera.
+def _recognised(model: Georeferencer, static_intervals: Sequence[StaticInterval]) -> bool:
+    """Whether a recording begins with the static scene of the model's reference view.
 
     True as well where the model has no view to compare it with.
     """
     if model.view is None or model.camera is None:
         return True
-    return bool(stances) and seen_again(model.view, stances[0].view, model.camera)
+    return bool(static_intervals) and seen_again(model.view, static_intervals[0].view, model.camera)
 
 
 def _last_s(boxes: Boxes) -> float:
     return float(boxes.time_utc_s.max(initial=-np.inf))
 
 
-def _watch(model: Georeferencer) -> CameraMotionWatch | None:
+def _watch(model: Georeferencer) -> CameraMotionDetector | None:
     camera = model.camera
-    if camera is None or model.moving or not CameraMotionWatch.fits(model.image_size_px):
+    if camera is None or model.moving or not CameraMotionDetector.fits(model.image_size_px):
         return None
     width, height = model.image_size_px
     rows: FloatArray = camera.horizon_y_px(np.linspace(0.0, width, _COLUMNS))
     seen = np.isfinite(rows).all() and (rows > 0.0).all() and (rows < height).all()
     if model.view is None and not seen:
         return None
-    return CameraMotionWatch(
+    return CameraMotionDetector(
         rows if seen else None,
         float(camera.focal_px),
         least_deg=least_turn_deg(float(camera.focal_px)),

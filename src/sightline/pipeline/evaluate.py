@@ -1,4 +1,4 @@
-"""How far a model's positions and tracks are from the logs of a scene."""
+"""Evaluation of a model's positions and tracks against the logs of a scene."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def evaluate(
     mmsi: int | None = None,
     delta_s: float = 1.0,
 ) -> Report:
-    """How far tracks are from a log, or a model from a scene's boxes and logs.
+    """Evaluate tracks against a log, or a model against a scene's boxes and logs.
 
     Args:
         what: Tracks, or a scene; or the file of either.
@@ -89,8 +89,8 @@ def evaluate(
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """The target's boxes in one recording, where a model puts them, and its log.
+class LocatedRecording:
+    """The located boxes of the target in one recording, with its log.
 
     Attributes:
         recording: Its name.
@@ -107,13 +107,13 @@ class Placed:
     platform: Platform | None = None
 
     def single(self) -> ScoredPairs:
-        """Each box by itself beside the log."""
+        """Single boxes paired with the log."""
         return pair_positions(
             self.boxes.time_utc_s,
             positions_on_earth(self.boxes, self.platform),
             self.fixes,
             platform=self.platform,
-            log_sigma_m=self.model.log_sigma_m,
+            reference_sigma_m=self.model.reference_sigma_m,
         )
 
     def track(self, trajectory: str | TrajectoryMethod) -> Track | None:
@@ -124,7 +124,7 @@ class Placed:
         )
 
     def states(self, motion: MotionModel | None = None) -> MotionState | None:
-        """What was known of the target at each box, by that and those before.
+        """Filtered states of the target, one a box.
 
         None where no box has a place.
 
@@ -134,12 +134,12 @@ class Placed:
         return states(self.boxes, self.platform, motion=motion)
 
 
-def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[Placed]:
-    """The boxes of all recordings that have boxes and a log, each with its model.
+def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[LocatedRecording]:
+    """Locate the boxes of all recordings that have boxes and a log, each with its model.
 
     Args:
         scene: The scene.
-        model_for: From a recording's name to the model that is to place its boxes.
+        model_for: From a recording's name to the model that locates its boxes.
 
     Raises:
         InputError: No recording has both.
@@ -150,9 +150,9 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
             continue
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
-        history = recording_history(recording, model, pictures=scene.camera.watched)
+        history = recording_history(recording, model, pictures=scene.camera.compensate_rotation)
         boxes = model.place(history.observed(recording.boxes()))
-        placed.append(Placed(recording.name, boxes, model, recording.fixes(), platform))
+        placed.append(LocatedRecording(recording.name, boxes, model, recording.fixes(), platform))
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"
@@ -161,12 +161,12 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
 
 
 def score(
-    placed: Sequence[Placed],
+    placed: Sequence[LocatedRecording],
     trajectory: str | TrajectoryMethod | None = None,
     *,
     delta_s: float = 1.0,
 ) -> Report:
-    """The report of placed boxes, single or as trajectories.
+    """Report of located boxes, single or as trajectories.
 
     Recordings of which no box falls into the log are left out.
 
@@ -182,7 +182,10 @@ def score(
             if made is None:
                 continue
             pairs = pair_track(
-                made, one.fixes, platform=one.platform, log_sigma_m=one.model.log_sigma_m
+                made,
+                one.fixes,
+                platform=one.platform,
+                reference_sigma_m=one.model.reference_sigma_m,
             )
         if len(pairs):
             parts[one.recording] = pairs
@@ -194,8 +197,8 @@ def score(
     return summarise(parts, delta_s=delta_s)
 
 
-def with_forecasts(report: Report, placed: Sequence[Placed]) -> Report:
-    """A report of placed boxes with the errors of the forecasts made from them.
+def with_forecasts(report: Report, placed: Sequence[LocatedRecording]) -> Report:
+    """Add the errors of forecasts to a report of located boxes.
 
     Args:
         report: Of these boxes.
@@ -220,7 +223,7 @@ def leave_one_out(
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
 ) -> dict[str, Georeferencer]:
-    """For each recording with pairs a model that never saw it.
+    """Leave-one-out models: for each recording with correspondences one that never saw it.
 
     Args:
         scene: The scene.
@@ -236,12 +239,12 @@ def leave_one_out(
     settings = FitSettings(model=kind, seed=seed)
     return {
         name: fit_inputs(inputs.without(name), settings)
-        for name in recordings_with_pairs(scene, inputs)
+        for name in recordings_with_correspondences(scene, inputs)
     }
 
 
-def recordings_with_pairs(scene: Scene, inputs: FitInputs) -> list[str]:
-    """Names of the recordings that can be left out of a fit in turn: at least two.
+def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str]:
+    """Names of the recordings to leave out in turn: at least two.
 
     Args:
         scene: In whose order they come.
@@ -267,8 +270,8 @@ def compare(
     trajectory: str | TrajectoryMethod | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> tuple[Comparison, dict[str, list[Placed]]]:
-    """Leave one recording out at a time, for each model, as in the paper's Table 2.
+) -> tuple[Comparison, dict[str, list[LocatedRecording]]]:
+    """Compare models by leave-one-out cross-validation, as in the paper's Table 2.
 
     Args:
         scene: At least two recordings with boxes and fixes.
@@ -303,7 +306,7 @@ def compare(
         method(trajectory)
     single: dict[str, Report] = {}
     smooth: dict[str, Report] = {}
-    all_placed: dict[str, list[Placed]] = {}
+    all_placed: dict[str, list[LocatedRecording]] = {}
     for i, name in enumerate(models):
         if progress:
             progress(f"fitting {name}", i / len(models))

@@ -1,4 +1,4 @@
-"""Learn a georeferencer from a scene in which somebody drew boxes, or with control points."""
+"""Fit a georeferencer to a scene with drawn boxes or control points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def fit(
     extra: Mapping[str, Boxes] | None = None,
     progress: Progress | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from a scene.
+    """Fit a georeferencer to a scene.
 
     Args:
         scene: Its recordings' boxes and logs, and its control points.
@@ -31,7 +31,7 @@ def fit(
             control points too.
         seed: Of whatever is random in the fit.
         extra: Further boxes of the logged target; see `collect`.
-        progress: Told which recording's pictures are looked at.
+        progress: Told which recording's frames are observed.
 
     Raises:
         InputError: The model's name is not known, or a file of the scene cannot be used.

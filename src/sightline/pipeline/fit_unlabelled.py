@@ -1,4 +1,4 @@
-"""A georeferencer from a scene in which nobody drew a box."""
+"""Fit a georeferencer to a scene without drawn boxes."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ import numpy as np
 
 from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
 from sightline.association.observations import observe
-from sightline.association.search import Watch
+from sightline.association.search import RecordingObservations
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourceBelief
+from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
 from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings
 from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
-from sightline.georeferencing.recalibration import lies_since, prior_of
-from sightline.logged_path import LoggedPath
+from sightline.georeferencing.recalibration import detect_camera_change, prior_of
 from sightline.pipeline.fit import fit
 from sightline.progress import Progress
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Recording, Scene
-from sightline.scene.camera_state import scene_stances
-from sightline.scene.correspondences import levels_at, scene_pairs
+from sightline.scene.camera_state import scene_static_intervals
+from sightline.scene.correspondences import levels_at, scene_correspondences
 from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.synchronisation import check_overlap
 from sightline.types import Boxes, FloatArray, IntArray
 
-APART_S = 1.5
+CORRELATION_TIME_S = 1.5
 """Boxes that teach are at least so far apart: a detector's errors last as long."""
 
 MOST_A_RECORDING = 120
@@ -65,11 +65,11 @@ def fit_scene(
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from a scene, whether or not somebody drew boxes.
+    """Fit a georeferencer to a scene, with or without drawn boxes.
 
-    Where a recording has drawn boxes and a log, or there are only control points, this is
-    `fit`. Otherwise the logged vessels are recognised among the
-    recordings' ``detections``, or among what a detector finds in their pictures.
+    Where a recording has drawn boxes and a log, or there are only control points, this is `fit`.
+    Otherwise the logged vessels are recognised among the recordings' ``detections``, or among what
+    a detector finds in their frames.
 
     Args:
         scene: The scene.
@@ -78,8 +78,8 @@ def fit_scene(
         extra: As for `fit`.
         detector: Name of the detector, or an object, for recordings that have pictures but no boxes
             of any kind; None: these are left out.
-        seen: What it found there, for who has looked already.
-        largest_offset_s: How far the clocks may be off.
+        seen: Its detections, where they are there already.
+        largest_offset_s: Largest clock offset.
         progress: Told what is being done.
 
     Raises:
@@ -130,7 +130,7 @@ def associate_scene(
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Association:
-    """Recognise the logged vessels of a scene.
+    """Associate detections with the logged vessels of a scene.
 
     Args:
         scene: Says where its camera stands.
@@ -157,7 +157,7 @@ def associate_scene(
     tell = progress or (lambda _what, _share: None)
     if seen is None and detector is not None:
         seen = SceneDetections(scene, detector, progress)
-    watches: list[Watch] = []
+    watches: list[RecordingObservations] = []
     apart: InputError | None = None
     for recording in scene.recordings:
         if recording.fixes_path is None:
@@ -175,7 +175,7 @@ def associate_scene(
                 except InputError as error:
                     apart = apart or error
             continue
-        watches.append(Watch(recording.name, observe(boxes), paths))
+        watches.append(RecordingObservations(recording.name, observe(boxes), paths))
     if not watches:
         if apart is not None:
             raise apart
@@ -192,8 +192,10 @@ def associate_scene(
         raise FitError(f"{scene.path}: {error}") from error
 
 
-def _over_water(watches: Sequence[Watch], scene: Scene) -> list[Watch]:
-    """Watches that know how high the water stood, above its middle over all of them."""
+def _over_water(
+    watches: Sequence[RecordingObservations], scene: Scene
+) -> list[RecordingObservations]:
+    """Observations with their water level, above its median over all of them."""
     levels = [levels_at(scene[watch.name], watch.seen.time_utc_s) for watch in watches]
     middle_m = float(np.median(np.concatenate(levels)))
     return [
@@ -210,7 +212,7 @@ def fit_association(
     lower_edges: Mapping[str, LowerEdge | None] | None = None,
     seen: SceneDetections | None = None,
 ) -> Georeferencer:
-    """Learn a georeferencer from what was recognised.
+    """Fit a georeferencer to the associated boxes.
 
     Args:
         scene: The scene.
@@ -218,7 +220,7 @@ def fit_association(
         model: One of `MODELS`, or a model type.
         seed: Of whatever is random in the fit.
         lower_edges: Where the boxes of each source end, as `SceneDetections` tells.
-        seen: Who has looked at the scene's pictures already.
+        seen: Detections in the scene's frames, where they are there already.
 
     Raises:
         FitError: There are too few boxes.
@@ -226,14 +228,14 @@ def fit_association(
     plane = scene.plane
     assert plane is not None, "association needs the camera's place"
     landmarks = scene_landmarks(scene, association, seen)
-    pairs = recognised_pairs(association, plane, scene)
-    beliefs = _measured(pairs, association.camera, lower_edges)
+    pairs = recognised_correspondences(association, plane, scene)
+    source_priors = _measured(pairs, association.camera, lower_edges)
     inputs = FitInputs(
         correspondences=pairs,
         image_size_px=scene.image_size_px,
         control_points=scene.control_points,
         tidal=scene.tidal,
-        stances=scene_stances(scene),
+        static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
         name=str(scene.path),
     )
@@ -241,7 +243,7 @@ def fit_association(
         model=model,
         seed=seed,
         prior=_WITH_EDGE if len(landmarks) else _WITHOUT_EDGE,
-        source_priors=beliefs,
+        source_priors=source_priors,
     )
     fitted = fit_inputs(inputs, settings)
     more = list(association.statements)
@@ -281,10 +283,10 @@ def update_scene(
     largest_offset_s: float = LARGEST_OFFSET_S,
     progress: Progress | None = None,
 ) -> Georeferencer:
-    """Improve a model with a new day, and say whether its camera was turned since.
+    """Recalibrate a model with a new day, and detect whether its camera was rotated since.
 
-    What the old model knew of height, focal length, pitch and roll is believed, twice as unsure as
-    it said; pitch and roll are learned anew where the camera was turned.
+    The old model's height, focal length, pitch and roll are the prior, with twice their standard
+    deviations; pitch and roll are estimated anew where the camera was rotated.
 
     Args:
         scene: The new day, of the same camera.
@@ -309,10 +311,10 @@ def update_scene(
         )
     old.check_water(scene.tidal, f"{scene.path}: ")
     landmarks = Landmarks.none()
-    beliefs: dict[str, SourceBelief] = {}
+    source_priors: dict[str, SourcePrior] = {}
     more: tuple[str, ...] = ()
     if any(r.boxes_path and r.fixes_path for r in scene.recordings):
-        pairs = scene_pairs(scene, old.plane)
+        pairs = scene_correspondences(scene, old.plane)
         usual = CameraPrior()
     else:
         moved_scene = replace(
@@ -332,13 +334,13 @@ def update_scene(
             largest_offset_s=largest_offset_s,
             progress=progress,
         )
-        pairs = recognised_pairs(association, old.plane, scene)
+        pairs = recognised_correspondences(association, old.plane, scene)
         landmarks = scene_landmarks(scene, association, seen)
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
-        beliefs = _measured(pairs, association.camera, seen.lower_edges if seen else None)
+        source_priors = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
-    stances = scene_stances(scene, progress)
-    now = lies_since(old, pairs, stances)
+    static_intervals = scene_static_intervals(scene, progress)
+    now = detect_camera_change(old, pairs, static_intervals)
     prior = replace(
         prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,
@@ -352,7 +354,7 @@ def update_scene(
         control_points=scene.control_points,
         moving=scene.moves,
         tidal=scene.tidal,
-        stances=stances,
+        static_intervals=static_intervals,
         landmarks=landmarks,
         name=str(scene.path),
     )
@@ -360,7 +362,7 @@ def update_scene(
         model=old.model,
         seed=seed,
         prior=prior,
-        source_priors=beliefs,
+        source_priors=source_priors,
         water_level_m=old.water_level_m,
     )
     fitted = fit_inputs(inputs, settings)
@@ -368,8 +370,10 @@ def update_scene(
     return replace(fitted, report=replace(fitted.report, statements=statements))
 
 
-def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) -> Pairs:
-    """Boxes that were recognised, thinned, with the places of their vessels."""
+def recognised_correspondences(
+    association: Association, plane: LocalPlane, scene: Scene
+) -> Correspondences:
+    """Correspondences of the associated boxes, thinned."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
@@ -386,7 +390,7 @@ def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) 
         velocities.append(at.velocity_mps[known])
         if scene.tidal:
             levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
-    return Pairs(
+    return Correspondences(
         boxes=Boxes.concatenate(boxes),
         recording=np.concatenate(names),
         east_north_m=np.concatenate(places),
@@ -399,9 +403,9 @@ def recognised_pairs(association: Association, plane: LocalPlane, scene: Scene) 
 
 
 def _measured(
-    pairs: Pairs, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
-) -> dict[str, SourceBelief]:
-    """What is believed of the boxes of detectors whose lower edge was measured.
+    pairs: Correspondences, camera: Camera, lower_edges: Mapping[str, LowerEdge | None] | None
+) -> dict[str, SourcePrior]:
+    """Priors of the lower-edge bias of detectors for which it was measured.
 
     A share of the boat's height is metres at the boat, as many as it is high.
     """
@@ -421,7 +425,7 @@ def _measured(
         rows = pairs.boxes.source == name
         boat_m = float(np.median(edge.hull_px(height_px[rows]) * slant_m[rows])) / camera.focal_px
         below_m = edge.share * boat_m
-        out[name] = SourceBelief(
+        out[name] = SourcePrior(
             bias_px=(edge.px, float(np.hypot(edge.spread_px, _UNLIKE_RENDERED_PX))),
             bias_m=(-below_m, max(_UNLIKE_RENDERED_SHARE * abs(below_m), _LEAST_SIGMA_M)),
         )
@@ -431,12 +435,12 @@ def _measured(
 def scene_landmarks(
     scene: Scene, association: Association, seen: SceneDetections | None = None
 ) -> Landmarks:
-    """What the edge of the water in the recordings' pictures tells; none where it is not seen.
+    """Landmarks along the shoreline in a scene's frames; none where it is not seen.
 
     Args:
         scene: The scene.
         association: Of the scene.
-        seen: Who has looked at the pictures already.
+        seen: Detections in the scene's frames, where they are there already.
     """
     seen = seen or SceneDetections(scene, None)
     width = scene.image_size_px[0]
@@ -460,7 +464,7 @@ def _edge(
 
 
 def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Boxes | None:
-    """The boxes of anything in a recording, None where nothing tells them."""
+    """Detections in a recording; None where there are none."""
     if recording.detections_path is not None:
         return recording.detections()
     if seen is None or recording.source is None:
@@ -470,21 +474,21 @@ def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Bo
 
 def _paths(
     recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float
-) -> tuple[LoggedPath, ...]:
-    """The logs that tell anything of the time of a recording."""
+) -> tuple[ReferenceTrajectory, ...]:
+    """Reference trajectories of the logs that overlap a recording in time."""
     first = boxes.time_utc_s.min() - largest_offset_s
     last = boxes.time_utc_s.max() + largest_offset_s
     out = []
     for log in recording.logs():
         times = log.fixes.time_utc_s
         if np.sum((times >= first) & (times <= last)) >= 2:
-            out.append(LoggedPath.of(log.fixes, plane, log.velocity_mps))
+            out.append(ReferenceTrajectory.of(log.fixes, plane, log.velocity_mps))
     return tuple(out)
 
 
 def _thinned(time_s: FloatArray) -> IntArray:
-    """Indices of times in order that are far enough apart, and not too many."""
-    apart = max(APART_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
+    """Indices of times in order, thinned to the correlation time and to a maximum count."""
+    apart = max(CORRELATION_TIME_S, float(np.ptp(time_s)) / MOST_A_RECORDING)
     out: list[int] = []
     last = -np.inf
     for i, time in enumerate(time_s):

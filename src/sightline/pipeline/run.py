@@ -1,4 +1,4 @@
-"""The main job: all stages in a row, for every recording of a scene."""
+"""The whole pipeline: all stages in a row, for every recording of a scene."""
 
 from __future__ import annotations
 
@@ -18,9 +18,19 @@ from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
 from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.overlap import iou
 from sightline.pipeline.camera_state import camera_turns, recording_history
-from sightline.pipeline.evaluate import Placed, place_boxes, recordings_with_pairs
+from sightline.pipeline.evaluate import (
+    LocatedRecording,
+    place_boxes,
+    recordings_with_correspondences,
+)
 from sightline.pipeline.fit_unlabelled import fit_scene
-from sightline.pipeline.sources import LOOKED_AT, SeldomError, in_hand, refuse_seldom, timed
+from sightline.pipeline.sources import (
+    LOOKED_AT,
+    FrameRateError,
+    check_frame_rate,
+    from_memory,
+    with_times,
+)
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
@@ -33,7 +43,7 @@ from sightline.types import NO_TRACK, Boxes, Track
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """What `run` made of a scene.
+    """Model, tracks and reports that `run` made of a scene.
 
     Attributes:
         scene: The scene.
@@ -60,7 +70,7 @@ class RunResult:
     single: Report | None
     left_out: tuple[str, ...]
     detected: tuple[str, ...]
-    placed: Sequence[Placed]
+    placed: Sequence[LocatedRecording]
     notes: tuple[str, ...] = field(default=())
     smoothed_learned_from: Report | None = None
     single_learned_from: Report | None = None
@@ -97,7 +107,10 @@ def run(
         (('01', '02', '03'), 11)
     """
     settings = settings or TrackSettings()
-    settings = replace(settings, correct_turns=settings.correct_turns and scene.camera.watched)
+    settings = replace(
+        settings,
+        compensate_rotation=settings.compensate_rotation and scene.camera.compensate_rotation,
+    )
     tell = progress or (lambda _what, _share: None)
     seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
@@ -105,7 +118,7 @@ def run(
     fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
     models, failed = _leave_each_out(scene, model, seed, extra, seen, tell)
     tracked = _track_each(scene, fitted, models, seen, settings, tell)
-    placed: list[Placed] = []
+    placed: list[LocatedRecording] = []
     if _drawn(scene):
         placed = place_boxes(scene, lambda name: models.get(name, fitted))
     single = {one.recording: pairs for one in placed if len(pairs := one.single())}
@@ -137,7 +150,7 @@ def run(
 
 @dataclass(frozen=True, eq=False)
 class _Tracked:
-    """What is tracked in each recording.
+    """Tracks of each recording, with their scores.
 
     Attributes:
         tracks: By ``RunResult.model``.
@@ -170,17 +183,17 @@ def _track_each(
         try:
             made = track_recording(recording, fitted, seen, settings)
             judged = made if held is fitted else track_recording(recording, held, seen, settings)
-        except SeldomError as error:
+        except FrameRateError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
         else:
             if _unseen(recording):
                 detected.append(recording.name)
         tracks[recording.name] = Tracks(tuple(made))
-        turned = camera_turns(recording, fitted) if scene.camera.watched else None
+        turned = camera_turns(recording, fitted) if scene.camera.compensate_rotation else None
         if turned is not None:
             notes.append(turned)
-        pairs = _against_log(recording, judged, held.log_sigma_m)
+        pairs = _against_log(recording, judged, held.reference_sigma_m)
         if pairs is not None:
             scored[recording.name] = pairs
     return _Tracked(tracks, scored, tuple(detected), tuple(notes))
@@ -204,7 +217,7 @@ def _report_boxes(single: Mapping[str, ScoredPairs], names: Collection[str]) -> 
 
 
 def _in_sample(apart: Sequence[str], failed: FitError | None) -> str:
-    """Says of which recordings the figures are those of a model that learned from them.
+    """Sentence that names the recordings whose figures are in-sample.
 
     Args:
         apart: Their names; none: all.
@@ -225,7 +238,7 @@ def _in_sample(apart: Sequence[str], failed: FitError | None) -> str:
 
 
 def _drawn(scene: Scene) -> bool:
-    """Whether somebody drew boxes of a logged target."""
+    """Whether the scene has drawn boxes of a logged target."""
     return any(r.boxes_path and r.fixes_path for r in scene.recordings)
 
 
@@ -237,7 +250,7 @@ def _leave_each_out(
     seen: SceneDetections,
     tell: Progress,
 ) -> tuple[dict[str, Georeferencer], FitError | None]:
-    """For each recording that teaches a model that never saw it, and why the first has none."""
+    """Leave-one-out model of each recording that teaches, and why the first has none."""
     drawn = _drawn(scene)
     models: dict[str, Georeferencer] = {}
     failed: FitError | None = None
@@ -247,7 +260,7 @@ def _leave_each_out(
         inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
         settings = FitSettings(model=kind, seed=seed)
         try:
-            names = recordings_with_pairs(scene, inputs)
+            names = recordings_with_correspondences(scene, inputs)
         except FitError as error:
             return models, error
     for i, name in enumerate(names):
@@ -268,9 +281,9 @@ def _unseen(recording: Recording) -> bool:
 
 
 def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
-    """What a detector makes of the target where somebody has drawn its boxes.
+    """Detections of the target in recordings where its boxes were drawn.
 
-    Every source of boxes has its own habit at the lower edge. Where the same target was drawn and
+    Every source of boxes has its own bias at the lower edge. Where the same target was drawn and
     detected in the same frames, the fit learns both.
     """
     out: dict[str, Boxes] = {}
@@ -284,7 +297,7 @@ def _taught(scene: Scene, seen: SceneDetections) -> dict[str, Boxes]:
 
 
 def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
-    """Of the boxes found those that lie on a box drawn in the same frame, the best for each."""
+    """Detections that overlap a box drawn in the same frame, the best for each."""
     rows = []
     for frame, box in zip(drawn.frame, drawn.xyxy_px, strict=True):
         here = np.flatnonzero(found.frame == frame)
@@ -300,32 +313,35 @@ def _same_target(drawn: Boxes, found: Boxes, least_iou: float = 0.3) -> Boxes:
 def track_recording(
     recording: Recording, model: Georeferencer, seen: SceneDetections, settings: TrackSettings
 ) -> list[Track]:
-    """The tracks of a recording: of the target that somebody drew, or of whatever is seen."""
+    """Tracks of a recording: of the drawn target, or of all detections."""
     smoother = method(settings.trajectory)
     where = f"recording {recording.name}"
     platform = recording.platform()
     check_platform(model, platform, f"{where}: ")
-    history = recording_history(recording, model, pictures=settings.correct_turns)
+    history = recording_history(recording, model, pictures=settings.compensate_rotation)
     if recording.boxes_path is not None:
         located = model.place(history.observed(recording.boxes()))
         made = smooth_boxes(located, smoother, settings, track_id=1, platform=platform)
         return [] if made is None else [made]
     if recording.detections_path is not None:
-        batches, highest_id = in_hand(recording.detections())
+        batches, highest_id = from_memory(recording.detections())
     else:
-        refuse_seldom(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
+        check_frame_rate(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
         batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK
-    with_times = (timed(boxes, None, model, f"{where}: ") for boxes in batches)
-    observed = map(history.observed, with_times)
+    dated = (with_times(boxes, None, model, f"{where}: ") for boxes in batches)
+    observed = map(history.observed, dated)
     return list(follow(observed, model, smoother, settings, highest_id, platform))
 
 
 def _against_log(
-    recording: Recording, tracks: list[Track], log_sigma_m: float
+    recording: Recording, tracks: list[Track], reference_sigma_m: float
 ) -> tuple[ScoredPairs, TracksUsed] | None:
     if recording.fixes_path is None:
         return None
     pairs, used = pair_target(
-        tracks, recording.fixes(), platform=recording.platform(), log_sigma_m=log_sigma_m
+        tracks,
+        recording.fixes(),
+        platform=recording.platform(),
+        reference_sigma_m=reference_sigma_m,
     )
     return (pairs, used) if len(pairs) else None

@@ -1,4 +1,4 @@
-"""From a source to boxes with times: a table, boxes in hand, or frames that a detector looks at."""
+"""Sources of boxes with times: tables, boxes in memory, or frames for a detector."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
 _TABLE_SUFFIXES = (".csv", ".txt")
 _CHUNK_ROWS = 20_000
 LOOKED_AT = 5
-"""So many pictures tell how far apart they are."""
+"""Number of frames whose times tell the frame rate."""
 # In a longer time a boat moves by more than its length in the image.
 _SELDOM_S = 1.0
 # On the earth a vessel's way can be foretold for longer.
@@ -28,12 +28,12 @@ _SELDOM_ON_EARTH_S = 6.0
 
 
 def is_table(source: str | os.PathLike[str]) -> bool:
-    """Whether a source is a table of boxes, by its ending."""
+    """Whether a source is a table of boxes, by its suffix."""
     return Path(source).suffix.lower() in _TABLE_SUFFIXES and "://" not in str(source)
 
 
 def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
-    """The boxes of a table, some thousand rows at a time, in the order of time.
+    """Read the boxes of a table in chunks, in the order of time.
 
     Boxes without width or height, which some detectors put out, are left out.
 
@@ -52,14 +52,14 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
         last = float(moment[-1])
     if not ordered:
         # Sorted by track, or not at all: only the whole table can be put in order.
-        return in_hand(formats.read_boxes(path, skip_empty=True))
+        return from_memory(formats.read_boxes(path, skip_empty=True))
     chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True)
     if alone and highest_id == NO_TRACK:
         return (_as_one_target(chunk) for chunk in chunks), 1
     return chunks, highest_id
 
 
-def in_hand(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
+def from_memory(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
     """Boxes in any order, as `read_table`.
 
     Boxes without ids of which no two are of one time are all of one target.
@@ -71,7 +71,7 @@ def in_hand(boxes: Boxes) -> tuple[Iterator[Boxes], int]:
 
 
 def _moment(boxes: Boxes) -> FloatArray:
-    """(N,) what tells the order of boxes: their times, or else their frames."""
+    """(N,) sort key of boxes: their times, or else their frames."""
     timed = np.isfinite(boxes.time_utc_s)
     return np.where(timed.all(), boxes.time_utc_s, boxes.frame.astype(np.float64))
 
@@ -85,7 +85,7 @@ def make_detector(
     model: Georeferencer | None,
     options: DetectorOptions | None = None,
 ) -> Detector:
-    """A detector of a name that knows the model's horizon, or one's own as it is.
+    """A detector by its name, given the model's horizon; an object is returned as it is.
 
     Args:
         detector: As `detector_by_name` takes it, or one's own. Absent: the default.
@@ -105,16 +105,16 @@ def make_detector(
     return detector_by_name(detector or DEFAULT_DETECTOR, horizon_px=horizon, options=options)
 
 
-class SeldomError(InputError):
-    """Pictures or boxes between which a target cannot be followed."""
+class FrameRateError(InputError):
+    """The frame rate is too low to follow targets."""
 
 
 def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> Iterator[Frame]:
-    """Pass pictures on, and refuse those that no target can be found and followed in.
+    """Pass frames on; raise where no target can be detected and tracked in them.
 
     Raises:
         InputError: See `usable`.
-        SeldomError: They come too seldom.
+        FrameRateError: They come too seldom.
     """
     first_s: list[float] = []
     for frame in usable(frames, model.image_size_px, where):
@@ -122,36 +122,36 @@ def fit_for_use(frames: Iterable[Frame], model: Georeferencer, where: str) -> It
         if len(first_s) < LOOKED_AT:
             first_s.append(frame.time_utc_s)
             if len(first_s) == LOOKED_AT:
-                refuse_seldom(first_s, "pictures", model)
+                check_frame_rate(first_s, "pictures", model)
     if len(first_s) < LOOKED_AT:
-        refuse_seldom(first_s, "pictures", model)
+        check_frame_rate(first_s, "pictures", model)
 
 
 def follows_on_earth(model: Georeferencer) -> bool:
-    """Whether targets are followed on the earth's plane: a camera is known.
+    """Whether targets are tracked on the earth's plane: a camera is known.
 
     The places of other models are too rough.
     """
     return model.camera is not None
 
 
-def refuse_seldom(times_s: Sequence[float], what: str, model: Georeferencer) -> None:
-    """Refuse what no target can be followed in.
+def check_frame_rate(times_s: Sequence[float], what: str, model: Georeferencer) -> None:
+    """Raise FrameRateError where frames are too far apart in time to follow targets.
 
     Raises:
-        SeldomError: The times are too far apart.
+        FrameRateError: The times are too far apart.
     """
     apart_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
     most_s = _SELDOM_ON_EARTH_S if follows_on_earth(model) else _SELDOM_S
     if apart_s > most_s:
-        raise SeldomError(
+        raise FrameRateError(
             f"the {what} are {apart_s:.1f} s apart, and a target can be followed only where they "
             f"are at most {most_s:g} s apart; give the video itself, or boxes with a track_id"
         )
 
 
-def timed(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -> Boxes:
-    """Boxes with their times, of the picture that the model knows."""
+def with_times(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -> Boxes:
+    """Boxes with their times; raises where these or the image size do not fit."""
     if clock is not None and len(boxes):
         boxes = boxes.with_columns(time_utc_s=clock.time_utc_s(boxes.frame))
     unknown = ~np.isfinite(boxes.time_utc_s)
@@ -166,7 +166,7 @@ def timed(boxes: Boxes, clock: Clock | None, model: Georeferencer, where: str) -
 
 
 def whole_moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
-    """The boxes of one time or of several, each time whole, in the order of time.
+    """Regroup batches of boxes in the order of time, without splitting a moment.
 
     Those of one time may come in two batches, so the last time of a batch waits for the next.
     """
@@ -186,7 +186,7 @@ def whole_moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
 
 
 def moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
-    """The boxes of one time after another, though those of one time may come in two batches."""
+    """Regroup batches of boxes into single moments, in the order of time."""
     for boxes in whole_moments(batches):
         cuts = np.flatnonzero(np.diff(boxes.time_utc_s) > 0.0) + 1
         for start, stop in itertools.pairwise([0, *cuts.tolist(), len(boxes)]):

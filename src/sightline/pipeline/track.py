@@ -1,4 +1,4 @@
-"""From boxes with times to tracks: one id a target, a place a box, a smooth path."""
+"""Tracks from boxes with times: tracking, georeferencing and smoothing."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.pipeline.sources import (
+    check_frame_rate,
     fit_for_use,
     follows_on_earth,
-    in_hand,
+    from_memory,
     is_table,
     make_detector,
     moments,
     read_table,
-    refuse_seldom,
-    timed,
     whole_moments,
+    with_times,
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.progress import Progress
@@ -53,7 +53,7 @@ from sightline.water import WaterLevels
 
 DEFAULT_TRAJECTORY = "rts"
 
-ON_BOARD_LASTING_S = 1.3
+ON_BOARD_CORRELATION_TIME_S = 1.3
 """How long errors of boxes last on a vessel under way: heave, for a fourth of a wave's period."""
 
 _MOST_PARTS = 256
@@ -65,14 +65,13 @@ _LOOKED_AT_BOXES = 1000
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """How boxes become tracks.
+    """Settings of `track`.
 
     Attributes:
         trajectory: The trajectory method: ``"rts"``, ``"paper"``, another package's name, or an
             object.
-        tracker: What says which boxes are of one target: another package's name, or an object or a
-            callable that makes one. None: on the earth where the model has a camera, else in the
-            image.
+        tracker: The tracker: another package's name, or an object or a callable that makes one.
+            None: on the earth where the model has a camera, else in the image.
         interval_s: Time between the points of a track; None: a point a box.
         ends_after_s: A target not seen for as long has gone; its track is smoothed and let go.
         shortest_s: Tracks whose positions span less are dropped: glitter, birds, broken waves.
@@ -81,7 +80,7 @@ class TrackSettings:
         forecast_s: How far ahead a track is forecast after its last position, where forecasts
             are asked for.
         forecast_interval_s: Time between the points of a forecast.
-        correct_turns: Whether a turn of the camera that its pictures show is made up for.
+        compensate_rotation: Whether camera rotation seen in the video is compensated.
     """
 
     trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY
@@ -92,7 +91,7 @@ class TrackSettings:
     longest_s: float = 1800.0
     forecast_s: float = 60.0
     forecast_interval_s: float = 5.0
-    correct_turns: bool = True
+    compensate_rotation: bool = True
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
@@ -186,7 +185,7 @@ def iter_tracks(
     progress: Progress | None = None,
     forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
-    """As `track`, one track at a time, each as soon as its target has gone; memory stays flat.
+    """As `track`, yielding each track once its target has gone, in constant memory.
 
     Args:
         source: See `track`.
@@ -231,21 +230,23 @@ def iter_tracks(
     where = "" if isinstance(source, Boxes) else f"{source}: "
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
-        batches, highest_id = in_hand(source) if isinstance(source, Boxes) else read_table(source)
+        batches, highest_id = (
+            from_memory(source) if isinstance(source, Boxes) else read_table(source)
+        )
         history = CameraHistory(horizons=horizons, water=water)
-        with_times = (timed(boxes, clock, model, where) for boxes in batches)
-        observed: Iterator[ObservedBoxes] = map(history.observed, with_times)
+        dated = (with_times(boxes, clock, model, where) for boxes in batches)
+        observed: Iterator[ObservedBoxes] = map(history.observed, dated)
     else:
         highest_id = NO_TRACK
         monitor = CameraMotionMonitor(
-            model, warn_of=str(source), compensate=settings.correct_turns, water=water
+            model, warn_of=str(source), compensate=settings.compensate_rotation, water=water
         )
         frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
         usable = observe(fit_for_use(frames, model, str(source)), [monitor])
         if model.horizon_px is not None:
             usable = with_horizons(usable)
         found = detect(usable, make_detector(detector, model), frame_count(source), progress)
-        observed = monitor.observed(timed(boxes, None, model, where) for boxes in found)
+        observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
     yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
 
 
@@ -268,7 +269,7 @@ def follow(
     platform: Platform | None = None,
     forecasts: Callable[[Track], None] | None = None,
 ) -> Iterator[Track]:
-    """The tracks of boxes, each as soon as its target has gone.
+    """Tracks of boxes, each once its target has gone.
 
     The boxes of a track are placed together when it has ended, whatever batches they came in: the
     last digits of a position depend on what else is in the batch, and what the smoother makes of
@@ -285,7 +286,7 @@ def follow(
         forecasts: See `iter_tracks`.
 
     Raises:
-        SeldomError: No target could be followed, since the boxes come too seldom.
+        FrameRateError: No target could be followed, since the boxes come too seldom.
     """
     first_s: list[float] = []
     book = _OpenTracks(settings, highest_id)
@@ -313,7 +314,7 @@ def follow(
                 forecasts(_forecast(boxes, settings, made, platform))
             yield made
     if count == 0:
-        refuse_seldom(first_s, "boxes", model)
+        check_frame_rate(first_s, "boxes", model)
 
 
 def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform | None) -> Tracker:
@@ -329,7 +330,7 @@ def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform |
 def _forecast(
     boxes: LocatedBoxes, settings: TrackSettings, track: Track, platform: Platform | None
 ) -> Track:
-    """The forecast of a track from its last position on."""
+    """Forecast of a track from its last position on."""
     known = states(boxes, platform, track_id=track.track_id)
     assert known is not None, "the track is of these boxes"
     state = known[-1:]
@@ -341,7 +342,7 @@ def _forecast(
 def _followed(
     batches: Iterator[ObservedBoxes], model: Georeferencer, first_s: list[float], tracker: Tracker
 ) -> Iterator[ObservedBoxes]:
-    """Boxes with the ids that a tracker gives them, in the order of time.
+    """Boxes with the track ids that a tracker assigns, in the order of time.
 
     Args:
         batches: In the order of time from one to the next, compensated.
@@ -386,7 +387,7 @@ def _still_observed(kept: Boxes, given: ObservedBoxes) -> ObservedBoxes:
 
 
 class _OpenTracks:
-    """Boxes of targets that are still there, by track id."""
+    """Boxes of targets that have not gone yet, by track id."""
 
     def __init__(self, settings: TrackSettings, highest_id: int) -> None:
         self._settings = settings
@@ -400,7 +401,7 @@ class _OpenTracks:
         self._last_s: dict[int, float] = {}
 
     def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
-        """Take boxes with ids, and give back the boxes of each target when it has gone."""
+        """Add boxes with track ids, and return the boxes of each target that has gone."""
         for batch in batches:
             yield from self._add(batch)
         for key in list(self._first_s):
@@ -436,7 +437,7 @@ class _OpenTracks:
         return ended + self._end_the_gone(float(batch.time_utc_s[-1]))
 
     def _add_moments(self, batch: Boxes) -> list[tuple[int, Boxes]]:
-        """As `_add` of one moment after another: by hand, since each is of a few boxes."""
+        """As `_add`, moment by moment, in plain Python: each is of a few boxes."""
         ended: list[tuple[int, Boxes]] = []
         longest_s, gap_s = self._settings.longest_s, self._settings.ends_after_s
         first, last = self._first_s, self._last_s
@@ -464,7 +465,7 @@ class _OpenTracks:
         return [self._end(k) for k in list(self._first_s) if now_s - self._last_s[k] > limit]
 
     def _put_by(self, batch: Boxes, start: int, stop: int) -> None:
-        """Keep rows, to be sorted by track with others."""
+        """Buffer rows, to be sorted by track with others."""
         if start < stop:
             self._unsorted.append(batch[start:stop])
             self._unsorted_rows += stop - start
@@ -472,7 +473,7 @@ class _OpenTracks:
             self._sort()
 
     def _sort(self) -> None:
-        """Give all boxes that were put by to their tracks."""
+        """Move all buffered boxes to their tracks."""
         if not self._unsorted:
             return
         boxes = Boxes.concatenate(self._unsorted)
@@ -484,7 +485,7 @@ class _OpenTracks:
             self._take(int(boxes.track_id[rows[0]]), boxes[rows])
 
     def _until_cut(self, key: int, times_s: FloatArray) -> int:
-        """How many of the next boxes still belong to the open track of a target."""
+        """Number of the next boxes that still belong to the open track of a target."""
         first_s = self._first_s.get(key, float(times_s[0]))
         before = np.r_[self._last_s.get(key, times_s[0]), times_s[:-1]]
         cut = times_s - before > self._settings.ends_after_s
@@ -504,7 +505,7 @@ class _OpenTracks:
         return self._number(key), Boxes.concatenate(self._parts.pop(key))
 
     def _number(self, key: int) -> int:
-        """The id of a track: the boxes' own where they have one, another when a target returns."""
+        """Track id: the boxes' own where they have one, a new one when a target returns."""
         if key > self._highest_id or key in self._used:
             return next(self._spare)
         self._used.add(key)
@@ -512,7 +513,7 @@ class _OpenTracks:
 
 
 def check_platform(model: Georeferencer, platform: Platform | None, where: str = "") -> None:
-    """Refuse a model of a camera that moves for one that does not, and the reverse.
+    """Raise InputError where only one of model and recording has a moving platform.
 
     Args:
         model: The model.
@@ -537,12 +538,12 @@ def check_platform(model: Georeferencer, platform: Platform | None, where: str =
 def positions_on_earth(
     boxes: Boxes, platform: Platform | None = None, *, until_then: bool = False
 ) -> Positions:
-    """The positions of located boxes on the earth.
+    """Positions of located boxes on the earth.
 
     Args:
         boxes: `LocatedBoxes`.
         platform: What the camera stands on, where that moves.
-        until_then: Whether that was where its fixes until each time tell.
+        until_then: Whether its pose is estimated from its fixes until each time only.
     """
     if not isinstance(boxes, LocatedBoxes):
         raise TypeError("boxes have positions once a model has placed them (Georeferencer.place)")
@@ -561,7 +562,7 @@ def states(
     motion: MotionModel | None = None,
     track_id: int = 0,
 ) -> MotionState | None:
-    """What was known of one target at each box with a place, by that and those before.
+    """Filtered states of one target, one at each located box.
 
     A camera that moves was where its own log says by its fixes until then.
 
@@ -580,10 +581,12 @@ def states(
     if platform is None:
         return follow_motion(boxes.time_utc_s, positions, motion, track_id=track_id)
     motion = motion or MotionModel()
-    motion = replace(motion, lasting_s=max(motion.lasting_s, ON_BOARD_LASTING_S))
+    motion = replace(
+        motion, correlation_time_s=max(motion.correlation_time_s, ON_BOARD_CORRELATION_TIME_S)
+    )
     pose = platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
     followed = follow_motion(
-        boxes.time_utc_s, positions, motion, eye_m=pose.en_m, track_id=track_id
+        boxes.time_utc_s, positions, motion, camera_position_m=pose.en_m, track_id=track_id
     )
     then = platform.pose(followed.time_utc_s, positions.plane, until_then=True)
     return followed.carried(then.covariance)
@@ -598,7 +601,7 @@ def smooth_boxes(
     shortest_s: float = 0.0,
     platform: Platform | None = None,
 ) -> Track | None:
-    """The smooth track of one target's boxes; None where they have positions for too short.
+    """Smooth track of one target's boxes; None where they cover too short a time.
 
     Before a moving camera the path relative to it is smoothed, and then put where the camera was.
     """

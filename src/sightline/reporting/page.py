@@ -61,7 +61,7 @@ class ModelRow:
 
 @dataclass(frozen=True)
 class SourceRow:
-    """The habit of one source of boxes.
+    """The bias of one source of boxes.
 
     Attributes:
         source: The annotator's or the detector's name.
@@ -127,7 +127,7 @@ class ReportPage:
         positions: Single positions beside the log, of each recording.
         model_name: Which model placed the boxes.
         model: What it found.
-        sources: The habits of the sources of boxes.
+        sources: The biases of the sources of boxes.
         outliers: Boxes that the fit did not trust.
         statements: Sentences that the page says besides its own.
         warnings: Sentences that it says first, such as what could not be determined.
@@ -252,10 +252,10 @@ def _about_coverage(report: Report) -> str:
         return "The positions state no uncertainty, so there is none to check."
     held = coverage.p95_with_log
     share = f"The stated 95 % ellipses hold {percent(coverage.p95)} of the log's positions"
-    if coverage.log_sigma_m > 0.0:
+    if coverage.reference_sigma_m > 0.0:
         share += (
-            f", {percent(held)} with the log's own error of {number(coverage.log_sigma_m)} m in "
-            "them"
+            f", {percent(held)} with the log's own error of "
+            f"{number(coverage.reference_sigma_m)} m in them"
         )
     if n < _FEWEST_TO_JUDGE:
         return f"{share}; {n} positions are too few to judge them by."
@@ -323,7 +323,7 @@ def _headline(page: ReportPage) -> list[_Tile]:
                 "in the 95 % ellipse",
                 percent(report.coverage.p95_with_log),
                 "95 % would be honest"
-                if report.coverage.log_sigma_m == 0.0
+                if report.coverage.reference_sigma_m == 0.0
                 else "95 % would be honest; the log's own error counts",
             )
         )

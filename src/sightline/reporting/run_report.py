@@ -16,7 +16,7 @@ from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import ScoredPairs, pair_track
 from sightline.evaluation.report import Report
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.pipeline.evaluate import Placed
+from sightline.pipeline.evaluate import LocatedRecording
 from sightline.pipeline.run import RunResult
 from sightline.reporting.page import (
     ModelRow,
@@ -158,7 +158,7 @@ def _write_into(result: RunResult, folder: Path) -> dict[str, Path]:
 
 
 def compare_page(
-    comparison: Comparison, placed: Mapping[str, Sequence[Placed]], scene_name: str
+    comparison: Comparison, placed: Mapping[str, Sequence[LocatedRecording]], scene_name: str
 ) -> ReportPage:
     """The page of a comparison of models."""
     some = next(iter(placed.values()))
@@ -197,7 +197,7 @@ def compare_page(
     )
 
 
-def single_pairs(placed: Sequence[Placed]) -> ScoredPairs:
+def single_pairs(placed: Sequence[LocatedRecording]) -> ScoredPairs:
     """The boxes of all recordings beside their logs."""
     return ScoredPairs.concatenate([one.single() for one in placed])
 

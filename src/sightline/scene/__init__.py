@@ -1,4 +1,4 @@
-"""The scene: a camera, its recordings and their logs, and what is collected from their files."""
+"""The scene: a camera, its recordings and their logs, with what is collected from their files."""
 
 from sightline.scene.scene import CameraSite, Recording, Scene
 

@@ -1,4 +1,4 @@
-"""How the camera pointed in the recordings of a scene, by their tables or their pictures."""
+"""Horizons and static intervals of a scene's recordings, from their tables or frames."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from sightline.camera.horizon_tracker import with_horizons
-from sightline.camera.motion import Stance
-from sightline.camera.static_intervals import LOOKS_APART_S, StanceWatch
+from sightline.camera.motion import StaticInterval
+from sightline.camera.static_intervals import LOOKS_APART_S, StaticIntervalMonitor
 from sightline.errors import InputError
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
@@ -17,9 +17,9 @@ from sightline.types import Horizons
 
 
 def scene_horizons(recording: Recording) -> Horizons | None:
-    """Where the horizon lies in a recording: as its table says, or as its pictures show.
+    """Horizons of a recording: from its table, or detected in its frames.
 
-    Pictures are only looked at where the camera stands on a platform that moves.
+    Frames are only decoded where the camera is on a platform that moves.
 
     Raises:
         InputError: A file of the recording cannot be used.
@@ -30,7 +30,7 @@ def scene_horizons(recording: Recording) -> Horizons | None:
     return _in_pictures(recording, recording.source.stat().st_mtime_ns)
 
 
-# Leaving one recording out at a time asks again and again, and a look at every picture takes long.
+# Leaving one recording out at a time asks again and again, and to decode every frame takes long.
 @lru_cache(maxsize=32)
 def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
     seen = [
@@ -41,22 +41,24 @@ def _in_pictures(recording: Recording, _modified_ns: int) -> Horizons:
     return Horizons(*np.array(seen, dtype=np.float64).reshape(-1, 3).T)
 
 
-def scene_stances(scene: Scene, progress: Progress | None = None) -> dict[str, tuple[Stance, ...]]:
-    """`recording_stances` of all recordings of a scene in which it is asked for.
+def scene_static_intervals(
+    scene: Scene, progress: Progress | None = None
+) -> dict[str, tuple[StaticInterval, ...]]:
+    """Static intervals of all recordings of a scene that compensates camera rotation.
 
     Args:
         scene: Its recordings' pictures.
-        progress: Told what is being looked at: a long video takes long.
+        progress: Told which recording is observed: a long video takes long.
     """
-    if scene.moves or not scene.camera.watched:
+    if scene.moves or not scene.camera.compensate_rotation:
         return {}
     found = {}
     for i, recording in enumerate(scene.recordings):
         if progress is not None:
             what = f"looking at the pictures of {recording.name}"
             progress(what, i / len(scene.recordings))
-        found[recording.name] = recording_stances(recording)
-    return {name: stances for name, stances in found.items() if stances}
+        found[recording.name] = recording_static_intervals(recording)
+    return {name: static_intervals for name, static_intervals in found.items() if static_intervals}
 
 
 _logger = logging.getLogger(__name__)
@@ -65,44 +67,46 @@ _logger = logging.getLogger(__name__)
 _MOST_REMEMBERED = 128
 
 
-# Leaving one recording out at a time asks again and again, and to look at pictures takes long.
-_remembered: dict[tuple[Recording, int], tuple[Stance, ...]] = {}
+# Leaving one recording out at a time asks again and again, and to decode frames takes long.
+_remembered: dict[tuple[Recording, int], tuple[StaticInterval, ...]] = {}
 
 
-def recording_stances(recording: Recording) -> tuple[Stance, ...]:
-    """How the camera stood in a recording, by its pictures; none where there are no pictures.
+def recording_static_intervals(recording: Recording) -> tuple[StaticInterval, ...]:
+    """Static intervals of a recording, from its frames; none where there are no frames.
 
     Where they cannot be read, a warning says so: boxes that somebody drew do without them.
     """
     if recording.source is None or recording.platform_path is not None:
         return ()
-    if not stances_known(recording):
-        watch = StanceWatch()
+    if not static_intervals_known(recording):
+        watch = StaticIntervalMonitor()
         try:
             for frame in recording.frames(apart_s=LOOKS_APART_S):
                 watch.observe(frame)
         except InputError as error:
             _logger.warning("nobody can tell whether the camera was turned: %s", error)
-            watch = StanceWatch()
-        remember_stances(recording, watch.stances)
+            watch = StaticIntervalMonitor()
+        remember_static_intervals(recording, watch.static_intervals)
     return _remembered[_key(recording)]
 
 
-def stances_known(recording: Recording) -> bool:
-    """Whether the pictures of a recording were looked at before."""
+def static_intervals_known(recording: Recording) -> bool:
+    """Whether the static intervals of a recording are cached."""
     return _key(recording) in _remembered
 
 
-def remember_stances(recording: Recording, stances: tuple[Stance, ...]) -> None:
-    """Spare `recording_stances` the look at pictures that a `StanceWatch` was shown.
+def remember_static_intervals(
+    recording: Recording, static_intervals: tuple[StaticInterval, ...]
+) -> None:
+    """Cache static intervals that a monitor found during another pass.
 
     Args:
         recording: With pictures.
-        stances: What came of them.
+        static_intervals: What came of them.
     """
     while len(_remembered) >= _MOST_REMEMBERED:
         del _remembered[next(iter(_remembered))]
-    _remembered[_key(recording)] = stances
+    _remembered[_key(recording)] = static_intervals
 
 
 def _key(recording: Recording) -> tuple[Recording, int]:

@@ -1,4 +1,4 @@
-"""Boxes beside the place that the log states, collected from the files of a scene."""
+"""Collection of a scene's correspondences: boxes beside the places that the logs state."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
-from sightline.georeferencing.correspondences import Pairs
+from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs
 from sightline.platform import to_bow, turned
 from sightline.progress import Progress
-from sightline.scene.camera_state import scene_horizons, scene_stances
+from sightline.scene.camera_state import scene_horizons, scene_static_intervals
 from sightline.scene.scene import Recording, Scene
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap, synchronise
 from sightline.types import Boxes, FloatArray
@@ -25,7 +25,7 @@ def collect(
     pictures: bool = True,
     progress: Progress | None = None,
 ) -> FitInputs:
-    """Read from the files of a scene all that a fit learns from.
+    """Read all inputs of a fit from the files of a scene.
 
     Args:
         scene: Its recordings' boxes and logs, and its control points.
@@ -33,7 +33,7 @@ def collect(
             bias of a detector is learned beside that of an annotator. The residual process of
             ``camera+gpr`` learns nothing of them.
         pictures: Whether the pictures of the recordings are asked if the camera was turned.
-        progress: Told which recording's pictures are looked at.
+        progress: Told which recording's frames are observed.
 
     Raises:
         InputError: A file of the scene cannot be used.
@@ -41,7 +41,9 @@ def collect(
             nothing says where on the earth the scene is.
     """
     plane = scene.plane
-    pairs = scene_pairs(scene, plane if plane is not None else _middle(scene), extra=extra)
+    pairs = scene_correspondences(
+        scene, plane if plane is not None else _middle(scene), extra=extra
+    )
     anything = len(pairs) or len(scene.control_points)
     asked = {
         recording.name: len(recording.boxes()) + len((extra or {}).get(recording.name, ()))
@@ -57,14 +59,14 @@ def collect(
         moving=scene.moves,
         tidal=scene.tidal,
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
-        stances=scene_stances(scene, progress) if pictures and anything else {},
+        static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         asked=asked,
         name=str(scene.path),
     )
 
 
 def _middle(scene: Scene) -> LocalPlane:
-    """A plane in the middle of what is known, for a camera of which nobody knows where it is."""
+    """A plane at the centre of what is known, for a camera of unknown position."""
     latitudes, longitudes = (
         [scene.control_points.latitude_deg],
         [scene.control_points.longitude_deg],
@@ -84,14 +86,14 @@ def _middle(scene: Scene) -> LocalPlane:
     )
 
 
-def scene_pairs(
+def scene_correspondences(
     scene: Scene,
     plane: LocalPlane,
     *,
     largest_gap_s: float = LARGEST_GAP_S,
     extra: Mapping[str, Boxes] | None = None,
-) -> Pairs:
-    """The pairs of all recordings that have boxes and a log.
+) -> Correspondences:
+    """Correspondences of all recordings that have boxes and a log.
 
     Where the camera stands on a platform that moves, places are those that the platform saw: to
     starboard and ahead of it.
@@ -107,7 +109,7 @@ def scene_pairs(
         InputError: No recording's log overlaps it, or a file cannot be used.
     """
     tidal = scene.tidal
-    parts: list[Pairs] = []
+    parts: list[Correspondences] = []
     silent: list[Recording] = []
     for recording in scene.recordings:
         if recording.boxes_path is None or recording.fixes_path is None:
@@ -129,7 +131,7 @@ def scene_pairs(
         rows = np.flatnonzero(np.isfinite(en_m).all(axis=1))
         times = boxes.time_utc_s[rows]
         parts.append(
-            Pairs(
+            Correspondences(
                 boxes=boxes[rows],
                 recording=np.full(rows.size, recording.name),
                 east_north_m=en_m[rows],
@@ -137,7 +139,7 @@ def scene_pairs(
                 asked=asked,
                 plane=plane,
                 water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
-                beside=~np.isin(boxes.source[rows], drew),
+                bias_only=~np.isin(boxes.source[rows], drew),
             )
         )
     if silent and len(silent) == len(parts):
@@ -151,8 +153,10 @@ def scene_pairs(
         )
     if not parts:
         nothing = np.empty((0, 2))
-        return Pairs(Boxes.of([]), np.empty(0, dtype=np.str_), nothing, nothing.copy(), 0, plane)
-    return Pairs(
+        return Correspondences(
+            Boxes.of([]), np.empty(0, dtype=np.str_), nothing, nothing.copy(), 0, plane
+        )
+    return Correspondences(
         boxes=Boxes.concatenate([part.boxes for part in parts]),
         recording=np.concatenate([part.recording for part in parts]),
         east_north_m=np.concatenate([part.east_north_m for part in parts]),
@@ -160,12 +164,12 @@ def scene_pairs(
         asked=sum(part.asked for part in parts),
         plane=plane,
         water_level_m=np.concatenate([part.water_level_m for part in parts]),
-        beside=np.concatenate([part.beside for part in parts]),
+        bias_only=np.concatenate([part.bias_only for part in parts]),
     )
 
 
 def levels_at(recording: Recording, time_utc_s: FloatArray) -> FloatArray:
-    """(N,) how high the water stood in a recording, metres above the datum.
+    """(N,) water level of a recording at times, metres above the datum.
 
     Args:
         recording: One that has a water level.

@@ -1,4 +1,4 @@
-"""What a detector finds in the pictures of a scene, each decoded as seldom as can be."""
+"""Detections in the frames of a scene, each frame decoded as seldom as can be."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.camera.shoreline import StillPicture
-from sightline.camera.static_intervals import StanceWatch
+from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
@@ -16,7 +16,7 @@ from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name
 from sightline.detection.run import FrameObserver, detect, observe, usable
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
-from sightline.scene.camera_state import remember_stances, stances_known
+from sightline.scene.camera_state import remember_static_intervals, static_intervals_known
 from sightline.types import Boxes, FloatArray, Frame
 from sightline.video.reader import frame_count
 
@@ -24,7 +24,7 @@ _EVERY_OF_VIDEO = 25
 
 
 def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
-    """Where a detector's boxes end, by the name of their source.
+    """Lower-edge bias of a detector, by the name of its source.
 
     Args:
         detector: As `detector_by_name` takes it.
@@ -37,7 +37,7 @@ def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
 
 
 class SceneDetections:
-    """What is found in the pictures of a scene, decoded as seldom as can be.
+    """Detections in the frames of a scene, in one pass a recording.
 
     Whatever is to observe a recording's pictures as the detector does observes them in the same
     pass. A pass holds one picture at a time.
@@ -54,7 +54,7 @@ class SceneDetections:
         """Take the detector's name.
 
         Args:
-            scene: Whose recordings are to be looked at.
+            scene: Whose recordings are observed.
             detector: As `detector_by_name` takes it; None: no boxes are asked for.
             progress: Told how far it is.
             stills: Whether still pictures will be asked for too: then they are made in the
@@ -74,11 +74,11 @@ class SceneDetections:
 
     @property
     def lower_edges(self) -> Mapping[str, LowerEdge | None]:
-        """Where the boxes of each source end, as far as the detectors' files tell."""
+        """Lower-edge bias of each source, as far as the detectors' files tell."""
         return self._lower_edges
 
     def boxes(self, recording: Recording) -> Boxes:
-        """The boxes in a recording's pictures, with their times.
+        """Detected boxes in a recording's frames, with their times.
 
         Raises:
             InputError: The pictures cannot be read, have no times, or another size than the
@@ -88,12 +88,12 @@ class SceneDetections:
         return self._found[recording.name][0]
 
     def times_utc_s(self, recording: Recording) -> FloatArray:
-        """(N,) the times of its pictures; raises as `boxes`."""
+        """(N,) times of the recording's frames; raises as `boxes`."""
         self._detect(recording)
         return self._found[recording.name][1]
 
     def still(self, recording: Recording) -> NDArray[np.uint8]:
-        """(H, W) grey: what stands still in a recording's pictures; see `StillPicture`.
+        """(H, W) grey: the static scene of a recording; see `StillPicture`.
 
         Raises:
             InputError: The pictures cannot be read.
@@ -108,7 +108,7 @@ class SceneDetections:
         return self._stills[recording.name]
 
     def _detect(self, recording: Recording) -> None:
-        """Let the detector look at a recording's pictures, if it has not yet."""
+        """Run the detector on a recording's frames, unless it has been."""
         assert recording.source is not None, "a recording has boxes, detections or pictures"
         if recording.name in self._found:
             return
@@ -119,11 +119,11 @@ class SceneDetections:
         if self._stills_wanted and recording.name not in self._stills:
             still = still_picture(recording)
             observers.append(still)
-        stances: StanceWatch | None = None
-        still_standing = self._scene.camera.watched and recording.platform_path is None
-        if still_standing and not stances_known(recording):
-            stances = StanceWatch()
-            observers.append(stances)
+        static_intervals: StaticIntervalMonitor | None = None
+        still_standing = self._scene.camera.compensate_rotation and recording.platform_path is None
+        if still_standing and not static_intervals_known(recording):
+            static_intervals = StaticIntervalMonitor()
+            observers.append(static_intervals)
         where = f"recording {recording.name}"
         frames = usable(recording.frames(), self._scene.image_size_px, where)
         found = list(
@@ -135,14 +135,14 @@ class SceneDetections:
             )
         )
         self._found[recording.name] = Boxes.concatenate(found), np.array(times.utc_s)
-        if stances is not None:
-            remember_stances(recording, stances.stances)
+        if static_intervals is not None:
+            remember_static_intervals(recording, static_intervals.static_intervals)
         if still is not None:
             self._stills[recording.name] = still.picture()
 
 
 class _Times:
-    """Notes when pictures were taken."""
+    """Collects the times of frames."""
 
     def __init__(self) -> None:
         self.utc_s: list[float] = []
@@ -152,6 +152,6 @@ class _Times:
 
 
 def still_picture(recording: Recording) -> StillPicture:
-    """The median of the pictures of a recording, which is to observe them from the first one on."""
+    """An observer for the median frame of a recording, from its first frame on."""
     # A folder holds pictures that somebody chose; in a video neighbours show the same waves.
     return StillPicture(every=1 if recording.frames_path is not None else _EVERY_OF_VIDEO)

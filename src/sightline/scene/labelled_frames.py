@@ -1,4 +1,4 @@
-"""Drawn boxes of the frames of a scene, and what a detector finds there."""
+"""Labelled frames of a scene, with the detections in them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sightline.types import Boxes
 
 
 def scene_labels(scene: Scene, labels: str | Path | None = None) -> dict[str, Labels]:
-    """What is known of the frames of each recording that has pictures.
+    """Labels of each recording that has frames.
 
     Args:
         scene: The scene.
@@ -58,7 +58,7 @@ def detect_labelled(
     detector: Detector,
     progress: Callable[[str, float], None] | None = None,
 ) -> dict[str, list[JudgedFrame]]:
-    """What a detector finds in the frames of which something is known.
+    """Detections in the labelled frames.
 
     Args:
         scene: The scene.

@@ -1,4 +1,4 @@
-"""The scene file: which camera, which recordings, which logs.
+"""The scene file: camera, recordings and logs.
 
 TOML, with paths relative to the file. The whole of it is checked when it is loaded, the files
 that it names are opened when they are asked for.
@@ -7,126 +7,22 @@ that it names are opened when they are asked for.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from sightline import formats, video
 from sightline.clock import Clock, presentation_clock
-from sightline.errors import InputError, no_scene_file, unknown_name
+from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
+from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
-
-Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
-Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
-Pixels = Annotated[int, Field(gt=0)]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _CameraTable(_Table):
-    name: str = ""
-    latitude_deg: Latitude | None = None
-    longitude_deg: Longitude | None = None
-    image_size_px: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None
-    watched: bool = True
-
-    @model_validator(mode="after")
-    def _whole_place(self) -> Self:
-        if (self.latitude_deg is None) != (self.longitude_deg is None):
-            raise ValueError("give both latitude_deg and longitude_deg, or neither")
-        return self
-
-
-class _RecordingTable(_Table):
-    name: Annotated[str, Field(min_length=1)]
-    video: str | None = None
-    frames: str | None = None
-    start_utc: datetime | None = None
-    clock: str | None = None
-    boxes: str | None = None
-    detections: str | None = None
-    fixes: str | None = None
-    mmsi: int | None = None
-    platform: str | None = None
-    horizon: str | None = None
-    water_level_m: float | None = None
-    water_levels: str | None = None
-
-    @field_validator("name")
-    @classmethod
-    def _of_a_file(cls, value: str) -> str:
-        if any(letter in "/\\" or not letter.isprintable() for letter in value):
-            raise ValueError(
-                f"{value!r} holds / or \\ or what cannot be printed, and files are named after it"
-            )
-        return value
-
-    @field_validator("start_utc", mode="before")
-    @classmethod
-    def _moment(cls, value: object) -> object:
-        if isinstance(value, str):
-            return datetime.fromisoformat(value)
-        return value
-
-    @model_validator(mode="after")
-    def _one_of_each(self) -> Self:
-        for one, other in (
-            ("video", "frames"),
-            ("start_utc", "clock"),
-            ("water_level_m", "water_levels"),
-        ):
-            if getattr(self, one) is not None and getattr(self, other) is not None:
-                raise ValueError(f"give {one} or {other}, not both")
-        if self.start_utc is not None and self.video is None:
-            raise ValueError(
-                "start_utc tells the times of a video's frames; without a video give a clock"
-            )
-        if self.mmsi is not None and self.fixes is None:
-            raise ValueError("mmsi chooses a vessel of the log that fixes names; give fixes")
-        if self.platform is not None and (self.water_level_m is not None or self.water_levels):
-            raise ValueError("a platform floats with the water; leave its level away")
-        if self.frames is None and self.video is None and not (self.boxes or self.detections):
-            raise ValueError("give a video, frames, boxes or detections; there is nothing to see")
-        return self
-
-
-class _PointTable(_Table):
-    pixel_px: Annotated[list[float], Field(min_length=2, max_length=2)]
-    latitude_deg: Latitude
-    longitude_deg: Longitude
-
-
-class _SceneTable(_Table):
-    camera: _CameraTable = _CameraTable()
-    recordings: list[_RecordingTable] = []
-    control_points: list[_PointTable] | str = []
-
-    @model_validator(mode="after")
-    def _something_to_learn_from(self) -> Self:
-        if not self.recordings and not self.control_points:
-            raise ValueError("give [[recordings]] or [[control_points]]; the scene is empty")
-        return self
-
-
-_TABLES: dict[str, type[_Table]] = {
-    "": _SceneTable,
-    "camera": _CameraTable,
-    "recordings": _RecordingTable,
-    "control_points": _PointTable,
-}
-
 
 _FILES = (
     "video",
@@ -143,21 +39,21 @@ _FILES = (
 
 @dataclass(frozen=True)
 class CameraSite:
-    """Where the camera stands, as far as it is known, and the size of its picture.
+    """Position of the camera, as far as it is known, and the size of its image.
 
     Attributes:
         name: Of the camera, or ``""``.
         latitude_deg: Degrees north; None if it is not known.
         longitude_deg: Degrees east; None if it is not known.
         image_size_px: Width and height; None where the scene file leaves that to the video.
-        watched: Whether pictures are asked if the camera was turned, and a turn is made up for.
+        compensate_rotation: Whether camera rotation seen in the frames is compensated.
     """
 
     name: str = ""
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     image_size_px: tuple[int, int] | None = None
-    watched: bool = True
+    compensate_rotation: bool = True
 
 
 @dataclass(frozen=True)
@@ -174,10 +70,10 @@ class Recording:
         detections_path: Boxes of anything, or None.
         fixes_path: The log of the target, or None.
         mmsi: Which vessel of an AIS log, or None.
-        platform_path: The log of what the camera stands on, where that moves, or None.
-        horizon_path: Where the horizon lies in each frame, or None.
-        water_level_m: How high the water stood above the datum, or None.
-        water_levels_path: A table of how high it stood, or None.
+        platform_path: The log of the moving platform that the camera is on, or None.
+        horizon_path: A table of the horizon in each frame, or None.
+        water_level_m: Water level above the datum, or None.
+        water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
     """
 
@@ -222,7 +118,7 @@ class Recording:
         )
 
     def boxes(self) -> Boxes:
-        """The boxes of the target that was logged, with their times.
+        """The boxes of the logged target, with their times.
 
         Raises:
             InputError: The recording has none, they cannot be used, lie wholly outside the
@@ -247,7 +143,7 @@ class Recording:
         return self._timed(formats.read_boxes(path, source=path.stem, skip_empty=True), path)
 
     def fixes(self) -> Fixes:
-        """The log of the target.
+        """The log of the target, as fixes.
 
         Raises:
             InputError: The recording has none, or it cannot be used.
@@ -257,7 +153,7 @@ class Recording:
         return _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
 
     def platform(self) -> Platform | None:
-        """What the camera stands on, where that moves; None where it stands still.
+        """The platform that the camera is on; None where it is static.
 
         Raises:
             InputError: The log cannot be used.
@@ -267,7 +163,7 @@ class Recording:
         return _platform(self.platform_path, self.platform_path.stat().st_mtime_ns)
 
     def water_levels(self) -> WaterLevels | None:
-        """How high the water stood; None where nobody says.
+        """Water levels; None where none are given.
 
         Raises:
             InputError: The table cannot be used.
@@ -279,7 +175,7 @@ class Recording:
         return _water(self.water_levels_path, self.water_levels_path.stat().st_mtime_ns)
 
     def horizons(self) -> Horizons | None:
-        """Where the horizon lies in the frames, as its table says; None where there is no table.
+        """Horizons of the frames from their table; None where there is no table.
 
         Raises:
             InputError: The table cannot be used, or nothing tells the times of its frames.
@@ -307,7 +203,7 @@ class Recording:
         return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
 
     def frames(self, *, apart_s: float = 0.0) -> Iterator[Frame]:
-        """The pictures, one at a time, with their times; NaN where nothing tells them.
+        """The frames, one at a time, with their times; NaN where nothing tells them.
 
         Args:
             apart_s: Pictures that follow the one before them sooner are left out.
@@ -337,7 +233,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Scene:
-    """A camera and what it recorded.
+    """A camera and its recordings.
 
     Attributes:
         camera: Where it stands.
@@ -366,7 +262,7 @@ class Scene:
             >>> scene["02"].boxes().xyxy_px.shape
             (60, 4)
         """
-        table = _parse(Path(path))
+        table = parse_scene_table(Path(path))
         base = Path(path).parent
         size = table.camera.image_size_px
         camera = CameraSite(
@@ -374,7 +270,7 @@ class Scene:
             latitude_deg=table.camera.latitude_deg,
             longitude_deg=table.camera.longitude_deg,
             image_size_px=(size[0], size[1]) if size else None,
-            watched=table.camera.watched,
+            compensate_rotation=table.camera.compensate_rotation,
         )
         names = [recording.name for recording in table.recordings]
         for name in names:
@@ -394,14 +290,14 @@ class Scene:
 
     @property
     def plane(self) -> LocalPlane | None:
-        """The plane whose origin is the camera; None where its place is not known."""
+        """The local plane with the camera as its origin; None where its position is not known."""
         if self.camera.latitude_deg is None or self.camera.longitude_deg is None:
             return None
         return LocalPlane(self.camera.latitude_deg, self.camera.longitude_deg)
 
     @property
     def moves(self) -> bool:
-        """Whether the camera stands on a platform that moves.
+        """Whether the camera is on a moving platform.
 
         Raises:
             InputError: It does in some recordings and not in others: these are two cameras.
@@ -414,7 +310,7 @@ class Scene:
 
     @property
     def tidal(self) -> bool:
-        """Whether the recordings say how high the water stood.
+        """Whether the recordings have water levels.
 
         Raises:
             InputError: Some do and some do not: then nobody knows what height that of the camera
@@ -440,7 +336,7 @@ class Scene:
 
     @property
     def image_size_px(self) -> tuple[int, int]:
-        """Width and height of the picture: as the scene file says, or of the first frame.
+        """Width and height of the image: as the scene file says, or of the first frame.
 
         Raises:
             InputError: Neither tells.
@@ -456,7 +352,7 @@ class Scene:
         )
 
     def __getitem__(self, name: str) -> Recording:
-        """The recording of a name.
+        """The recording with a name.
 
         Raises:
             InputError: There is none; lists the names that there are.
@@ -518,57 +414,11 @@ def _video_info(path: Path, _modified_ns: int) -> video.VideoInfo:
     return video.video_info(path)
 
 
-def _parse(path: Path) -> _SceneTable:
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder; expected a scene file, as {path / 'scene.toml'}")
-    try:
-        # Some editors begin a file with a byte order mark.
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError as error:
-        raise no_scene_file(path) from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text in UTF-8, so it is no scene file") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no TOML: {error}") from error
-    try:
-        return _SceneTable.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{path}: {_first_problem(error)}") from error
-
-
-def _first_problem(error: ValidationError) -> str:
-    """The first problem of a validation in one line: the key's path, and what mends it."""
-    # An unknown key is often why another is missing, so it goes first.
-    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-    problem = problems[0]
-    # The names of the alternatives of a union are no keys.
-    steps = [step for step in problem["loc"] if step not in ("str", "list[_PointTable]")]
-    where = ""
-    for step in steps:
-        where += f"[{step + 1}]" if isinstance(step, int) else f".{step}" if where else str(step)
-    if problem["type"] == "extra_forbidden":
-        table = str(steps[0]) if len(steps) > 1 else ""
-        known = ", ".join(_TABLES[table].model_fields)
-        return f"unknown key {where}; known are {known}"
-    if problem["type"] == "missing":
-        return f"{where} is missing"
-    if problem["type"] == "model_type":
-        return f"{where}: expected a table of keys and values; it is {problem['input']!r}"
-    message = problem["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    given = problem["input"]
-    if isinstance(given, str | int | float | list) and problem["type"] != "value_error":
-        message += f"; it is {given!r}"
-    return f"{where}: {message}" if where else message
-
-
 def _recording(
     scene: Path,
     base: Path,
     number: int,
-    table: _RecordingTable,
+    table: RecordingTable,
     image_size_px: tuple[int, int] | None,
 ) -> Recording:
     paths: dict[str, Path | None] = {}
@@ -604,7 +454,7 @@ def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:
 def _control_points(
     scene: Path,
     base: Path,
-    points: list[_PointTable] | str,
+    points: list[PointTable] | str,
     image_size_px: tuple[int, int] | None,
 ) -> ControlPoints:
     if isinstance(points, str):

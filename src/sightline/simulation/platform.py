@@ -205,7 +205,7 @@ class _SeenPath(Path):
 
 
 class Warp:
-    """Turns pictures of a camera that lies still into those of one on a hull that does not."""
+    """Rotates pictures of a camera that lies still into those of one on a hull that does not."""
 
     def __init__(self, camera: SimulatedCamera, margin_px: int = 224) -> None:
         """Prepare the still camera.

@@ -1,4 +1,4 @@
-"""Stage 2: boxes in, boxes with a track id out."""
+"""Stage 2: multi-object tracking, boxes in and boxes with a track id out."""
 
 from sightline.tracking.image import ImageTracker, ImageTrackerSettings
 from sightline.tracking.registry import tracker_by_name

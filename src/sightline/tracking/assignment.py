@@ -1,4 +1,4 @@
-"""Who gets which box: the least total cost over the pairs that are possible at all."""
+"""Data association as a linear assignment over the pairs inside the gates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _IMPOSSIBLE = 1e6
 def assign(
     targets: IntArray, boxes: IntArray, cost: FloatArray, count: tuple[int, int]
 ) -> tuple[IntArray, IntArray]:
-    """As many pairs as can be, each target and each box once, at the least total cost.
+    """Assign boxes to targets: as many pairs as can be, each once, at the least total cost.
 
     Targets and boxes that are linked by no pair, not even through others, are assigned apart: of
     hundreds of targets few are near each other, and the Hungarian method is cubic in their number.

@@ -1,4 +1,4 @@
-"""Many targets in the image, before anything is known of the camera.
+"""Multi-target tracking in the image, before anything is known of the camera.
 
 Each target's box moves with a constant velocity; a Kalman filter a target predicts it, and boxes
 are given to targets by the least total cost (Bewley et al. 2016, "Simple online and realtime
@@ -35,7 +35,7 @@ IMAGE_MEASURED: Fields = [
 
 @dataclass(frozen=True)
 class ImageTrackerSettings(TrackerSettings):
-    """How an `ImageTracker` follows targets.
+    """Settings of an `ImageTracker`.
 
     Lengths are shares of the size of a target's box, the root of its area, so they hold near and
     far.
@@ -60,7 +60,7 @@ class ImageTrackerSettings(TrackerSettings):
 
 @dataclass(frozen=True, eq=False)
 class Nearness:
-    """How far boxes lie from where targets are expected, one row a pair.
+    """Distance, overlap and size difference of boxes and predicted targets, one row a pair.
 
     Attributes:
         target: (P,) int64, row of the target.
@@ -119,7 +119,7 @@ class ImagePlane:
         state["shape_variance"] = self._settings.size_noise**2
 
     def predict(self, state: Columns, lag_s: float) -> None:
-        """Move on; the acceleration is white, in continuous time. See `Plane`."""
+        """Predict with constant velocity under white acceleration. See `Plane`."""
         power = self._settings.acceleration**2 * _area(state["log_size"])
         step, noise = white_acceleration(lag_s)
         state["centre"] += lag_s * state["velocity"]
@@ -139,17 +139,17 @@ class ImagePlane:
         return near.target[possible], near.box[possible], cost
 
     def possible(self, near: Nearness) -> BoolArray:
-        """(P,) bool, whether a pair lies inside the gate or overlaps, and is of like size."""
+        """(P,) bool, whether a pair is inside the gate or overlaps, and is of similar size."""
         settings = self._settings
         close = (near.distance <= settings.gate) | (near.overlap >= settings.least_overlap)
         return np.asarray(close & (near.unlike < LARGEST_UNLIKE))
 
     def cost(self, near: Nearness) -> FloatArray:
-        """(P,) the lower the likelier."""
+        """(P,) association cost of pairs."""
         return near.distance / self._settings.gate + (1.0 - near.overlap) + 0.5 * near.unlike
 
     def nearness(self, state: Columns, measured: Columns) -> Nearness:
-        """Pairs of T targets and N boxes within the gate of each other, or that may overlap."""
+        """Pairs of T targets and N boxes inside the gate of each other, or that may overlap."""
         spread = self._spread_px(state)
         centre, log_size = state["centre"], state["log_size"]
         box_centre, half_box = measured["centre"], measured["half_size"]
@@ -204,18 +204,18 @@ class ImagePlane:
         silent_s: FloatArray,  # noqa: ARG002
         begun: Columns,  # noqa: ARG002
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """See `Plane`: in the image alone the velocity of a lost target tells too little."""
+        """See `Plane`: none, since image velocity is too uncertain to stitch tracklets."""
         nothing = np.empty(0, dtype=np.int64)
         return nothing, nothing, np.empty(0)
 
     def _spread_px(self, state: Columns) -> FloatArray:
-        """(N,) standard deviation of the next centre about the predicted one."""
+        """(N,) standard deviation of the innovation of the centre."""
         noise = self._settings.position_noise**2 * _area(state["log_size"])
         return np.asarray(np.sqrt(state["motion"][:, 0, 0] + noise))
 
 
 def _area(log_size: FloatArray) -> FloatArray:
-    """(N,) square pixels, of the logarithms of width and height (N, 2)."""
+    """(N,) areas, square pixels, from logarithms of width and height (N, 2)."""
     return np.asarray(np.exp(log_size[:, 0] + log_size[:, 1]))
 
 

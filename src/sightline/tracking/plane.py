@@ -1,4 +1,4 @@
-"""The seam inside a tracker: what is measured of a target, and how that moves."""
+"""The seam inside a tracker: measurement and motion model of a target."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Plane(Protocol):
     """
 
     def measure(self, boxes: Boxes) -> Columns:
-        """What N boxes tell."""
+        """Measurements of N boxes."""
         ...
 
     def start(self, measured: Columns) -> Columns:
@@ -35,13 +35,13 @@ class Plane(Protocol):
         ...
 
     def predict(self, state: Columns, lag_s: float) -> None:
-        """Move states on to some time later."""
+        """Predict states to a later time."""
         ...
 
     def candidates(
         self, state: Columns, silent_s: FloatArray, measured: Columns
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """Which boxes may be of which targets.
+        """Gated pairs of targets and boxes, with their costs.
 
         Args:
             state: T targets, predicted to the time of the boxes.
@@ -54,13 +54,13 @@ class Plane(Protocol):
         ...
 
     def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
-        """Change the states of T targets that each have got the box in their row."""
+        """Update the states of T targets, each with the box in its row."""
         ...
 
     def continuations(
         self, ended: Columns, silent_s: FloatArray, begun: Columns
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """Which new targets may be the continuation of which lost ones.
+        """Gated pairs of lost and new targets to stitch, with their costs.
 
         Args:
             ended: T lost targets, predicted to now.
@@ -74,7 +74,7 @@ class Plane(Protocol):
 
 
 def white_acceleration(lag_s: float) -> tuple[FloatArray, FloatArray]:
-    """Constant velocity along one axis: the transition of place and velocity, and its noise.
+    """Transition and process noise of constant velocity along one axis.
 
     Returns:
         (2, 2), and (2, 2) for a spectral density of 1.

@@ -1,4 +1,4 @@
-"""Trackers by their names."""
+"""Trackers by name."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ENTRY_POINT_GROUP = "sightline.trackers"
 
 
 def tracker_by_name(name: str | Tracker | Callable[[], Tracker]) -> Tracker:
-    """A tracker of another package by its name, or one's own, which forgets its targets.
+    """A tracker by its entry point's name, or an object, which is reset.
 
     Args:
         name: A name that a package registers under the entry point group ``sightline.trackers``

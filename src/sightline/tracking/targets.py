@@ -1,4 +1,4 @@
-"""Many targets, in whatever plane: birth, assignment, occlusion, death, and taking up again.
+"""Target management in any plane: birth, assignment, occlusion, death and stitching.
 
 Boxes come in two passes, as in ByteTrack (Zhang et al. 2022): those that the detector is sure of
 first; then the doubtful ones, which may go on with a target that has none yet, and never begin
@@ -24,7 +24,7 @@ _STATE_VERSION = 1
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """When targets begin and end.
+    """Settings for when targets begin and end.
 
     Attributes:
         confirm_s: A target counts once it has been followed for this long.
@@ -54,7 +54,7 @@ class TrackerSettings:
 
 
 class TargetTracker:
-    """Follows many targets in a plane; see `Tracker`.
+    """Multi-target tracker in a plane; see `Tracker`.
 
     Ids start at 1, and belong to the instance.
     """
@@ -80,11 +80,11 @@ class TargetTracker:
         self._state: Columns | None = None
 
     def __len__(self) -> int:
-        """How many targets are followed, lost ones and unconfirmed ones among them."""
+        """Number of targets that are tracked, lost and unconfirmed ones among them."""
         return self._track_id.size
 
     def update(self, boxes: Boxes) -> Boxes:
-        """Give the boxes of one moment their track ids; see `Tracker`."""
+        """Assign track ids to the boxes of one moment; see `Tracker`."""
         if not len(boxes):
             return boxes
         if not (boxes.time_utc_s == boxes.time_utc_s[0]).all():
@@ -92,7 +92,7 @@ class TargetTracker:
         return self.follow(boxes)
 
     def follow(self, boxes: Boxes) -> Boxes:
-        """Give the boxes of several moments their track ids: as `update`, moment by moment.
+        """Assign track ids to the boxes of several moments: as `update`, moment by moment.
 
         What boxes tell by themselves is measured of all of them at once.
 
@@ -128,7 +128,7 @@ class TargetTracker:
         return boxes.with_columns(track_id=ids)[ids != NO_TRACK]
 
     def _moment(self, measured: Columns, confidence: FloatArray, time_s: float) -> IntArray:
-        """(N,) the track ids of the boxes of one moment, `NO_TRACK` where there is none."""
+        """(N,) track ids of the boxes of one moment, `NO_TRACK` where there is none."""
         self._keep(~self._gone(time_s))
         self._before_s = self._time_s
         if self._state is not None and len(self):
@@ -148,7 +148,7 @@ class TargetTracker:
         return ids
 
     def state(self) -> dict[str, object]:
-        """All that the tracker knows, as JSON can hold it; see `restore`."""
+        """State of the tracker, as JSON can hold it; see `restore`."""
         return {
             "version": _STATE_VERSION,
             "next_id": self._next_id,
@@ -163,7 +163,7 @@ class TargetTracker:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on where a tracker of the same plane and settings was when it told its `state`.
+        """Restore the `state` of a tracker of the same plane and settings.
 
         Raises:
             InputError: That is no state of such a tracker.
@@ -263,7 +263,7 @@ class TargetTracker:
         return owner
 
     def _take(self, owner: IntArray, measured: Columns, time_s: float) -> None:
-        """Update the targets that were given boxes."""
+        """Update the targets that boxes were assigned to."""
         boxes = np.flatnonzero(owner >= 0)
         if self._state is None or not boxes.size:
             return
@@ -277,7 +277,7 @@ class TargetTracker:
     def _begin(
         self, owner: IntArray, measured: Columns, confidence: FloatArray, time_s: float
     ) -> None:
-        """Begin a target for each box that is left, and write down its row."""
+        """Begin a target for each unassigned box, and write down its row."""
         new = np.flatnonzero((owner < 0) & (confidence >= self._settings.sure_confidence))
         if not new.size:
             return
@@ -290,7 +290,7 @@ class TargetTracker:
         self._track_id = np.append(self._track_id, np.full(new.size, NO_TRACK, dtype=np.int64))
 
     def _confirm(self, time_s: float) -> IntArray:
-        """Number the targets that have been followed for long enough, or take lost ones up.
+        """Confirm targets tracked for long enough, or stitch them to lost ones.
 
         Returns:
             Rows of the lost ones that were taken up, and are to be dropped.

@@ -1,4 +1,4 @@
-"""The seam of stage 2."""
+"""The seam of stage 2: the protocol of a tracker."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from sightline.types import Boxes
 
 @runtime_checkable
 class Tracker(Protocol):
-    """What says which boxes are of the same target."""
+    """Assigns track ids: which boxes are of the same target."""
 
     def update(self, boxes: Boxes) -> Boxes:
-        """Give the boxes of one moment their track ids.
+        """Assign track ids to the boxes of one moment.
 
         Args:
             boxes: All of one time, later than the boxes before. No boxes tell no time and change

@@ -1,4 +1,4 @@
-r"""Many targets on the earth's plane, where a model says where boxes lie.
+r"""Multi-target tracking in the local plane, with boxes located by a model.
 
 A target has a place and a velocity in metres, and a box in the image. From one frame to the next
 the image tells more: a pixel is worth metres far away, and nothing near the horizon has a
@@ -21,12 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.platform import Platform
-from sightline.tracking.image import (
-    IMAGE_MEASURED,
-    IMAGE_STATE,
-    ImagePlane,
-    ImageTrackerSettings,
-)
+from sightline.tracking.image import IMAGE_MEASURED, IMAGE_STATE, ImagePlane, ImageTrackerSettings
 from sightline.tracking.plane import Columns, Fields, white_acceleration
 from sightline.tracking.targets import TargetTracker
 from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray, Positions
@@ -47,22 +42,22 @@ _MEASURED: Fields = [
     *IMAGE_MEASURED,
     ("placed", float, ()),
     ("en", float, (2,)),
-    ("eye", float, (2,)),
+    ("camera_position", float, (2,)),
     ("own", float, (2, 2)),
-    ("sight", float, (2,)),
+    ("line_of_sight", float, (2,)),
     ("noise", float, (2, 2)),
 ]
 
 
 @dataclass(frozen=True)
 class WorldTrackerSettings(ImageTrackerSettings):
-    """How a `WorldTracker` follows targets.
+    """Settings of a `WorldTracker`.
 
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
-            accordingly less.
+        correlation_time_s: The errors of boxes last for so long; boxes that follow each other
+            faster tell accordingly less.
         earth_gate: Largest distance between a predicted and a measured place, in standard
             deviations.
         loose_gate: The same as long as the image tells more, within ``image_s``: the lower edge
@@ -76,7 +71,7 @@ class WorldTrackerSettings(ImageTrackerSettings):
     direct_s: float = 2.0
     acceleration_m2ps3: float = 0.7
     speed_mps: float = 4.0
-    lasting_s: float = 1.0
+    correlation_time_s: float = 1.0
     earth_gate: float = 4.0
     loose_gate: float = 5.0
     image_s: float = 0.6
@@ -84,7 +79,7 @@ class WorldTrackerSettings(ImageTrackerSettings):
 
 
 class WorldPlane:
-    """Image and earth together as a measurement model; see `Plane`.
+    """Image and local plane together as a measurement model; see `Plane`.
 
     Beside the columns of `ImagePlane` a state has ``place`` (N, 4), metres east and north and
     their velocities, ``doubt`` (N, 4, 4) their covariance, and ``placed`` (N,), 1 where they mean
@@ -94,7 +89,7 @@ class WorldPlane:
     def __init__(
         self, locate: Locate, settings: WorldTrackerSettings, platform: Platform | None = None
     ) -> None:
-        """Take the model.
+        """Take the function that locates boxes.
 
         Args:
             locate: Where boxes lie.
@@ -107,15 +102,15 @@ class WorldPlane:
         self._image = ImagePlane(settings)
 
     def measure(self, boxes: Boxes) -> Columns:
-        """What the image has, and ``sight`` (bearing, inverse range) with ``noise``.
+        """Measurements of the image, and ``line_of_sight`` (bearing, inverse range) with ``noise``.
 
-        Both are from the camera, which is at ``eye``.
+        Both are from the camera, which is at ``camera_position``.
         """
         positions = self._locate(boxes)
-        eye = np.zeros((len(boxes), 2))
+        camera_position = np.zeros((len(boxes), 2))
         if self._platform is not None:
             pose = self._platform.pose(boxes.time_utc_s, positions.plane, until_then=True)
-            eye = np.nan_to_num(pose.en_m)
+            camera_position = np.nan_to_num(pose.en_m)
         known = positions.known & np.isfinite(positions.covariance_m2).all(axis=(1, 2))
         en = np.stack([positions.east_m, positions.north_m], axis=1)
         en = np.where(known[:, None], en, [0.0, 1.0])
@@ -123,12 +118,12 @@ class WorldPlane:
         # What a target's positions have in common does not move it from one to the next.
         own = positions.covariance_m2 - (1.0 - _OWN_SHARE) * positions.shared_covariance_m2
         own = np.where(known[:, None, None], own, np.eye(2))
-        sight, jacobian = _sight(en - eye)
+        sight, jacobian = _line_of_sight(en - camera_position)
         measured = np.zeros(len(boxes), dtype=_MEASURED)
         self._image.fill_measured(measured, boxes)
         measured["placed"] = known
-        measured["en"], measured["eye"], measured["own"] = en, eye, own
-        measured["sight"] = sight
+        measured["en"], measured["camera_position"], measured["own"] = en, camera_position, own
+        measured["line_of_sight"] = sight
         measured["noise"] = jacobian @ own @ np.swapaxes(jacobian, 1, 2)
         return measured
 
@@ -140,7 +135,7 @@ class WorldPlane:
         return state
 
     def _fill_start(self, state: Columns, measured: Columns) -> None:
-        """Fill in what `start` has beside the image."""
+        """Fill in the columns of `start` beside those of the image."""
         state["place"][:, :2] = measured["en"]
         state["place"][:, 2:] = 0.0
         state["doubt"] = 0.0
@@ -174,11 +169,11 @@ class WorldPlane:
         return i[possible], j[possible], cost[possible]
 
     def _distance(self, state: Columns, measured: Columns, i: IntArray, j: IntArray) -> FloatArray:
-        """(P,) distance of pairs in bearing and inverse range, in standard deviations."""
+        """(P,) Mahalanobis distance of pairs in bearing and inverse range."""
         # All boxes are of one moment.
-        expected, jacobian = _sight(state["place"][:, :2] - measured["eye"][:1])
+        expected, jacobian = _line_of_sight(state["place"][:, :2] - measured["camera_position"][:1])
         spread = jacobian @ state["doubt"][:, :2, :2] @ np.swapaxes(jacobian, 1, 2)
-        off = _off(measured["sight"][j], expected[i])
+        off = _residual(measured["line_of_sight"][j], expected[i])
         return np.sqrt(_squared(off, spread[i] + measured["noise"][j]))
 
     def update(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
@@ -201,15 +196,17 @@ class WorldPlane:
             state[new] = part
 
     def _update_places(self, state: Columns, silent_s: FloatArray, measured: Columns) -> None:
-        """Correct the places of targets that have one by those of their boxes."""
+        """Kalman update of the positions of targets by those of their boxes."""
         place, doubt = state["place"], state["doubt"]
-        expected, jacobian = _sight(place[:, :2] - measured["eye"])
+        expected, jacobian = _line_of_sight(place[:, :2] - measured["camera_position"])
         cross = doubt[:, :, :2] @ jacobian.transpose(0, 2, 1)
         # Errors that last make boxes that follow each other closely one box.
-        repeated = np.maximum(1.0, 2.0 * self._settings.lasting_s / np.maximum(silent_s, 1e-3))
+        repeated = np.maximum(
+            1.0, 2.0 * self._settings.correlation_time_s / np.maximum(silent_s, 1e-3)
+        )
         noise = measured["noise"] * repeated[:, None, None]
         gain = cross @ _inverse(jacobian @ cross[:, :2] + noise)
-        off = _off(measured["sight"], expected)
+        off = _residual(measured["line_of_sight"], expected)
         state["place"] = place + (gain @ off[:, :, None])[:, :, 0]
         left = doubt - gain @ cross.transpose(0, 2, 1)
         state["doubt"] = 0.5 * (left + left.transpose(0, 2, 1))
@@ -220,7 +217,7 @@ class WorldPlane:
         silent_s: FloatArray,  # noqa: ARG002 - the state knows how unsure it has become
         begun: Columns,
     ) -> tuple[IntArray, IntArray, FloatArray]:
-        """See `Plane`: place and velocity together."""
+        """See `Plane`: gated by position and velocity together."""
         i, j = np.nonzero((ended["placed"][:, None] > 0.0) & (begun["placed"][None, :] > 0.0))
         if not i.size:
             return i, j, np.empty(0)
@@ -235,7 +232,7 @@ class WorldPlane:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Where confirmed targets are now.
+    """Position and velocity estimates of confirmed targets.
 
     Attributes:
         time_utc_s: Now, POSIX seconds.
@@ -253,7 +250,7 @@ class Estimates:
 
 
 class WorldTracker(TargetTracker):
-    """Follows many targets on the earth's plane; see `Tracker`.
+    """Multi-target tracker in the local plane; see `Tracker`.
 
     Boxes without a position (above the horizon, or too far) are followed in the image alone. Ids
     start at 1, and belong to the instance.
@@ -277,7 +274,7 @@ class WorldTracker(TargetTracker):
         super().__init__(WorldPlane(locate, settings, platform), settings)
 
     def estimates(self) -> Estimates:
-        """Where the confirmed targets that have a place are, lost ones among them.
+        """Estimates of the confirmed targets that have a position, lost ones among them.
 
         `sightline.trajectory.forecast.MotionState.of_moments` moves them all on at once.
         """
@@ -294,8 +291,8 @@ class WorldTracker(TargetTracker):
         )
 
 
-def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bearing (radians) and inverse range (1/m) of places, and their derivatives.
+def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bearing (radians) and inverse range (1/m) of places, and their Jacobian.
 
     Args:
         en_m: (N, 2) metres.
@@ -315,21 +312,21 @@ def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _on_both_axes(matrix: FloatArray) -> FloatArray:
-    """(2, 2) of place and velocity along one axis, for both axes: (4, 4)."""
+    """Extend (2, 2) for position and velocity along one axis to both axes: (4, 4)."""
     out = np.zeros((4, 4))
     out[::2, ::2] = out[1::2, 1::2] = matrix
     return out
 
 
-def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
-    """(N, 2) differences, that of the bearing in (-pi, pi]."""
+def _residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
+    """(N, 2) residuals, that of the bearing wrapped to (-pi, pi]."""
     off = measured - expected
     off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi
     return np.asarray(off)
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
-    """(N, 2, 2) of (N, 2, 2) symmetric and positive definite."""
+    """(N, 2, 2) inverses of (N, 2, 2) symmetric and positive definite matrices."""
     a, b, c = matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]
     determinant = a * c - b * b
     out = np.empty_like(matrices)
@@ -339,7 +336,7 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 
 def _squared(off: FloatArray, spread: FloatArray) -> FloatArray:
-    """(N,) squared Mahalanobis distances of (N, 2) under (N, 2, 2)."""
+    """(N,) squared Mahalanobis distances of (N, 2) under covariances (N, 2, 2)."""
     x, y = off.T
     a, b, c = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
     return np.asarray((c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b))

@@ -108,7 +108,7 @@ class Labels:
             ``target`` is 0. Below 1, what looks like the target is found with more confidence than
             what is merely of its kind.
         margins: By source of boxes, what is added on every side. Annotators differ in how close
-            they draw, and a network that learns from several wants one habit.
+            they draw, and a network that learns from several wants one bias.
         ignored_names: Labels of things that are neither to be found nor wrong to find.
     """
 

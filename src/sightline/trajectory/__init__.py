@@ -1,4 +1,4 @@
-"""Stage 4: positions at irregular times in, a smooth track out."""
+"""Stage 4: trajectory estimation, positions at irregular times in and a smooth track out."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ENTRY_POINT_GROUP = "sightline.trajectories"
 
 
 def method(name: str | TrajectoryMethod, **settings: Any) -> TrajectoryMethod:
-    """A trajectory method by its name, or one's own as it is.
+    """A trajectory method by its name; an object is returned as it is.
 
     Args:
         name: ``"paper"`` (`PaperChain`) or ``"rts"`` (`RtsSmoother`), a name that another package

@@ -1,4 +1,4 @@
-"""What every trajectory method shares: the seam, the check of its input, the kinds of points."""
+"""Base of all trajectory methods: the protocol, input validation and kinds of points."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SAME_TIME_S = 1e-6
 
 
 class TrajectoryMethod(Protocol):
-    """Makes a smooth track of the positions of one target."""
+    """Estimates a smooth track from the positions of one target."""
 
     def apply(
         self,
@@ -28,7 +28,7 @@ class TrajectoryMethod(Protocol):
         track_id: int = 0,
         label: str = "",
     ) -> Track:
-        """The track of one target.
+        """Estimate the track of one target.
 
         Args:
             time_utc_s: (N,) float64, POSIX seconds of the positions, in any order; rows without
@@ -50,7 +50,7 @@ class TrajectoryMethod(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """The positions that a method works on, in the order of time.
+    """Usable positions of one target, in the order of time.
 
     Attributes:
         time_utc_s: (N,) float64, finite, never decreasing.
@@ -71,7 +71,7 @@ class Measurements:
     rows: IntArray
 
     def shared_at(self, time_utc_s: FloatArray) -> FloatArray:
-        """(M, 2, 2) the covariance that a track shares with itself, between its positions."""
+        """(M, 2, 2) shared covariance of a track, interpolated between its positions."""
         out = np.zeros((2, 2, time_utc_s.size))
         if self.shared_m2.any():
             for i, j in ((0, 0), (0, 1), (1, 1)):
@@ -94,7 +94,7 @@ def measurements(
     at_utc_s: FloatArray | None,
     track_id: int,
 ) -> tuple[Measurements, FloatArray]:
-    """The usable rows in the order of time, and the times to answer for.
+    """Validate positions; return usable rows in the order of time, and the output times.
 
     Args:
         time_utc_s: (N,) POSIX seconds.
@@ -143,7 +143,7 @@ def measurements(
 
 
 def _own(total_m2: FloatArray, shared_m2: FloatArray) -> FloatArray:
-    """What is left of covariances without their shared part, never less than a share of them."""
+    """Covariances without their shared part, at least a share of them."""
     own = total_m2 - shared_m2
     # The shared part may have no eigenvalue, in units of the whole, above what it may take: by
     # the determinant of what that would leave, and by its trace.
@@ -174,7 +174,7 @@ def _positive_definite(covariance_m2: FloatArray) -> FloatArray:
 
 
 def distinct(sorted_utc_s: FloatArray) -> FloatArray:
-    """The values of a sorted array, those within `SAME_TIME_S` of the one before left out."""
+    """Distinct values of a sorted array, those within `SAME_TIME_S` of the one before left out."""
     if not sorted_utc_s.size:
         return sorted_utc_s
     kept: FloatArray = sorted_utc_s[np.diff(sorted_utc_s, prepend=-np.inf) > SAME_TIME_S]
@@ -184,7 +184,7 @@ def distinct(sorted_utc_s: FloatArray) -> FloatArray:
 def point_kinds(
     at_utc_s: FloatArray, used_utc_s: FloatArray, longest_gap_s: float
 ) -> NDArray[np.int8]:
-    """How points of a track came about.
+    """Kinds of a track's points: measured, interpolated or extrapolated.
 
     Args:
         at_utc_s: (M,) times of the points, rising.

@@ -1,7 +1,7 @@
-r"""Where a target will be: its state by what was seen so far, and the same moved on in time.
+r"""Forecasts by an interacting multiple-model filter over integrated Ornstein-Uhlenbeck modes.
 
 A target goes straight, turns left or right, or turns hard, and changes between these after some
-time. In each of these manners its velocity turns at a rate :math:`\omega` and reverts to rest,
+time. In each of these modes its velocity turns at a rate :math:`\omega` and reverts to rest,
 slowly where it goes straight and faster where it turns, under white acceleration: an integrated
 Ornstein-Uhlenbeck process, which, other than constant velocity, stays honest for minutes
 (Millefiori et al., "Modeling vessel kinematics using a stochastic mean-reverting process for
@@ -11,7 +11,7 @@ one complex number it is
 .. math:: \dot p = v, \qquad \dot v = -\lambda v + \text{noise}, \qquad
           \lambda = 1 / \tau - i \omega .
 
-Which of the manners holds is followed by an interacting multiple-model filter (Blom and
+Which of the modes holds is followed by an interacting multiple-model filter (Blom and
 Bar-Shalom, *IEEE Trans. Autom. Control* 33(8), 1988). It uses no box that comes after the moment
 that it speaks of.
 
@@ -35,37 +35,37 @@ from sightline.trajectory.base import Measurements, measurements
 from sightline.types import FloatArray, PointKind, Positions, Track
 
 HORIZONS_S = (5.0, 10.0, 30.0, 60.0)
-"""How far ahead forecasts are looked at, where nobody says."""
+"""Default lead times of forecasts."""
 
 _LONGEST_STEP_S = 2.0
 _SAME_TIME_S = 1e-6
 _NEAREST_M = 1e-3
 _ITERATIONS = 3
 _STEADY = np.sqrt(0.5)
-_MAY_BE_ZERO = ("turn_rate_radps", "hard_turn_rate_radps", "hard_share", "lasting_s")
+_MAY_BE_ZERO = ("turn_rate_radps", "hard_turn_rate_radps", "hard_share", "correlation_time_s")
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """How targets move when nobody knows better.
+    """Motion model of targets: modes, their turn rates and process noise.
 
     Attributes:
-        turn_rate_radps: Of the two manners in which a target turns, radians a second.
+        turn_rate_radps: Of the two modes in which a target turns, radians a second.
         hard_turn_rate_radps: Of the two in which it turns hard, as small boats do.
         hard_share: Share of the time of turning in which it turns hard.
-        manner_s: Mean time in one manner.
+        manner_s: Mean time in one mode.
         straight_share: Share of the time in which targets go straight.
         straight_s: Time constant with which the velocity reverts to rest while it goes straight.
         turning_s: The same while it turns.
         straight_m2ps3: Spectral density of the white acceleration while it goes straight, m²/s³.
         turning_m2ps3: The same while it turns.
         speed_mps: Standard deviation of each component of the velocity of a new target.
-        lasting_s: The errors of boxes last for so long; boxes that follow each other faster tell
-            accordingly less.
+        correlation_time_s: Correlation time of the errors of boxes; boxes that follow each other
+            faster are down-weighted.
         forgotten_s: After so long without a position a target is begun anew: it may be anywhere,
             and a filter that is linear about where it was expected may end far from where it is.
-        outlier_gate: A position further from the expected one than so many standard deviations
-            is taken for accordingly less precise.
+        outlier_gate: A position further from the expected one than so many standard deviations is
+            down-weighted.
     """
 
     turn_rate_radps: float = 0.17
@@ -78,7 +78,7 @@ class MotionModel:
     straight_m2ps3: float = 0.03
     turning_m2ps3: float = 0.1
     speed_mps: float = 2.0
-    lasting_s: float = 0.6
+    correlation_time_s: float = 0.6
     forgotten_s: float = 30.0
     outlier_gate: float = 3.5
 
@@ -95,32 +95,32 @@ class MotionModel:
 
     @property
     def turn_rates_radps(self) -> FloatArray:
-        """(5,) of the manners: straight, left, right, hard to the left, hard to the right."""
+        """(5,) turn rates of the modes: straight, left, right, hard left, hard right."""
         usual, hard = self.turn_rate_radps, self.hard_turn_rate_radps
         return np.array([0.0, usual, -usual, hard, -hard])
 
     @property
     def shares(self) -> FloatArray:
-        """(5,) of the time in each manner."""
+        """(5,) stationary probabilities of the modes."""
         turning = 0.5 * (1.0 - self.straight_share)
         usual, hard = turning * (1.0 - self.hard_share), turning * self.hard_share
         return np.array([self.straight_share, usual, usual, hard, hard])
 
     @property
     def revertings_s(self) -> FloatArray:
-        """(5,) time constants of the manners."""
+        """(5,) time constants of the modes."""
         return np.array([self.straight_s, *4 * [self.turning_s]])
 
     @property
     def accelerations_m2ps3(self) -> FloatArray:
-        """(5,) spectral densities of the manners."""
+        """(5,) spectral densities of the acceleration of the modes."""
         return np.array([self.straight_m2ps3, *4 * [self.turning_m2ps3]])
 
 
 def transition(
     lag_s: float, turn_rate_radps: ArrayLike, reverting_s: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
-    r"""How a state moves on, and the noise that it picks up for a spectral density of 1 m²/s³.
+    r"""Transition and process noise of a mode, for a spectral density of 1 m²/s³.
 
     With :math:`a = e^{-\lambda h}` and :math:`b = (1 - a) / \lambda` the mean is
     :math:`p + b v,\ a v`; the covariances are the integrals of :math:`|a|^2`,
@@ -152,7 +152,7 @@ def transition(
 
 
 def _blocks(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
-    """(K, 4, 4) of four complex numbers each, as they act on east and north."""
+    """(K, 4, 4) real matrices of 2 x 2 complex ones, acting on east and north."""
     out = np.empty((a.size, 4, 4))
     for rows, columns, values in ((0, 0, a), (0, 2, b), (2, 0, c), (2, 2, d)):
         out[:, rows, columns] = out[:, rows + 1, columns + 1] = np.real(values)
@@ -163,16 +163,16 @@ def _blocks(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> Float
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """What is known of N targets, each at its own moment: a mixture over the K manners of motion.
+    """State of N targets, each at its own time: a mixture over the K modes of motion.
 
     Attributes:
         time_utc_s: (N,) float64, POSIX seconds.
-        weight: (N, K) float64, probability of each manner.
+        weight: (N, K) float64, probability of each mode.
         mean: (N, K, 4) float64, metres east and north, and their velocities.
         covariance: (N, K, 4, 4) float64, without what all positions of a target share.
-        shared: (N, 4, 4) float64, what they share. What is of a camera that stands still is of the
-            place alone, and time does not change it; what a camera that moves is off in its
-            velocity takes the place along.
+        shared: (N, 4, 4) float64, what they share. That of a static camera is of the place
+            alone, and constant; the velocity error of a moving camera makes that of the place grow
+            with time.
         plane: Where the origin lies on the earth.
         motion: How targets move.
     """
@@ -189,13 +189,13 @@ class MotionState:
         return int(self.time_utc_s.size)
 
     def __getitem__(self, rows: object) -> MotionState:
-        """The states that an index array, a mask or a slice selects."""
+        """The states selected by an index array, a mask or a slice."""
         names = ("time_utc_s", "weight", "mean", "covariance", "shared")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @classmethod
     def of_track(cls, track: Track, motion: MotionModel | None = None) -> MotionState:
-        r"""The state at the end of a track, for one that is known as a track alone.
+        r"""State at the end of a track, for a target that is known by its track alone.
 
         A track does not say how the errors of place and velocity hang together. They are taken to
         do so as in the steady state of a filter for constant velocity under white acceleration,
@@ -235,7 +235,7 @@ class MotionState:
         plane: LocalPlane,
         motion: MotionModel | None = None,
     ) -> MotionState:
-        """States of which nobody knows in which manner they move: those of a tracker, say.
+        """States from mean and covariance, with the modes at their stationary probabilities.
 
         Args:
             time_utc_s: (N,) POSIX seconds.
@@ -257,7 +257,7 @@ class MotionState:
         )
 
     def carried(self, covariance: FloatArray) -> MotionState:
-        """States seen from something that moves, whose velocity is not known exactly either.
+        """States seen from a moving platform, with the covariance of its velocity.
 
         Args:
             covariance: (N, 2, 2) of its place and velocity, along either axis, at the time of each
@@ -268,7 +268,7 @@ class MotionState:
         return replace(self, shared=self.shared + own)
 
     def ahead(self, lag_s: float) -> MotionState:
-        """All of them the same time later.
+        """Predict all states by the same lag.
 
         Args:
             lag_s: Seconds, not negative.
@@ -294,7 +294,7 @@ class MotionState:
         )
 
     def moments(self) -> tuple[FloatArray, FloatArray]:
-        """Mean (N, 4) and covariance (N, 4, 4) over all manners, what is shared included."""
+        """Mean (N, 4) and covariance (N, 4, 4) of the mixture, the shared part included."""
         mean = np.einsum("nk,nki->ni", self.weight, self.mean)
         off = self.mean - mean[:, None]
         spread = self.covariance + off[..., :, None] * off[..., None, :]
@@ -302,7 +302,7 @@ class MotionState:
         return mean, covariance + self.shared
 
     def forecast(self, lag_s: ArrayLike, *, track_id: int = 0, label: str = "") -> Track:
-        """Place and ellipse of one target some times later, as an extrapolated track.
+        """Forecast of one target as an extrapolated track.
 
         Args:
             lag_s: (M,) seconds after the state, positive and increasing.
@@ -340,7 +340,7 @@ class MotionState:
 
 
 def _taken_along(shared: FloatArray, lag_s: float) -> FloatArray:
-    """An error of place and velocity some time later."""
+    """Propagate a shared error of position and velocity by a lag."""
     if not shared[:, 2:, 2:].any():
         return shared
     step = np.eye(4)
@@ -349,7 +349,7 @@ def _taken_along(shared: FloatArray, lag_s: float) -> FloatArray:
 
 
 def _root(matrix: FloatArray) -> FloatArray:
-    """The symmetric root of a covariance."""
+    """Symmetric square root of a covariance."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
@@ -357,7 +357,7 @@ def _root(matrix: FloatArray) -> FloatArray:
 def _mixed(
     weight: FloatArray, mean: FloatArray, covariance: FloatArray, change: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The mixture after a chance to change the manner; each again as one normal distribution."""
+    """IMM mixing step: the mixture after mode transitions, moment-matched for each mode."""
     joint = weight[:, :, None] * change
     after = joint.sum(axis=1)
     share = joint / np.maximum(after, 1e-300)[:, None, :]
@@ -372,16 +372,17 @@ def follow(
     positions: Positions,
     motion: MotionModel | None = None,
     *,
-    eye_m: FloatArray | None = None,
+    camera_position_m: FloatArray | None = None,
     track_id: int = 0,
 ) -> MotionState:
-    """What was known of one target at each of its positions, by that one and those before it.
+    """Filtered states of one target, one at each of its positions.
 
     Args:
         time_utc_s: (N,) POSIX seconds, in any order.
         positions: N rows; those without a position are left out.
         motion: How targets move.
-        eye_m: (N, 2) metres east and north of the camera. Absent: it stands at the origin.
+        camera_position_m: (N, 2) metres east and north of the camera. Absent: it stands at the
+            origin.
         track_id: For messages.
 
     Returns:
@@ -392,7 +393,11 @@ def follow(
     """
     motion = motion or MotionModel()
     measured, _ = measurements(time_utc_s, positions, None, None, track_id)
-    eye = np.zeros((len(positions), 2)) if eye_m is None else np.asarray(eye_m, dtype=np.float64)
+    eye = (
+        np.zeros((len(positions), 2))
+        if camera_position_m is None
+        else np.asarray(camera_position_m, dtype=np.float64)
+    )
     eye = eye[measured.rows]
     state = _begun(measured, positions.plane, motion, 0)
     states = [state]
@@ -436,28 +441,28 @@ def _begun(measured: Measurements, plane: LocalPlane, motion: MotionModel, i: in
 
 
 def _of_place(shared_m2: FloatArray) -> FloatArray:
-    """(1, 4, 4) of place and velocity, from what is shared of the place (2, 2)."""
+    """(1, 4, 4) covariance of position and velocity, from the shared one of position (2, 2)."""
     out = np.zeros((1, 4, 4))
     out[0, :2, :2] = shared_m2
     return out
 
 
 def _updated(
-    state: MotionState, measured: Measurements, eye_m: FloatArray, i: int, lag_s: float
+    state: MotionState, measured: Measurements, camera_position_m: FloatArray, i: int, lag_s: float
 ) -> MotionState:
-    """A state, predicted to its time, with one more position (an iterated Kalman filter)."""
+    """Update a predicted state with a position (an iterated Kalman filter)."""
     motion = state.motion
-    sight, axes = _sight(measured.en_m[i : i + 1] - eye_m)
+    sight, axes = _line_of_sight(measured.en_m[i : i + 1] - camera_position_m)
     noise = axes[0] @ measured.covariance_m2[i] @ axes[0].T
-    # Errors that last make boxes that follow each other closely one box.
-    noise = noise * max(1.0, 2.0 * motion.lasting_s / max(lag_s, 1e-3))
+    # Correlated errors make boxes that follow each other closely one box.
+    noise = noise * max(1.0, 2.0 * motion.correlation_time_s / max(lag_s, 1e-3))
     expected, covariance = state.mean[0], state.covariance[0]
     at, place = expected, covariance[:, :2, :2]
-    there, design = _sight(expected[:, :2] - eye_m)
-    off = _off(sight, there)
+    there, design = _line_of_sight(expected[:, :2] - camera_position_m)
+    off = _residual(sight, there)
     spread = design @ place @ np.swapaxes(design, 1, 2) + noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
-    # How far from the expected place a position may be is asked once, of all manners.
+    # How far from the expected place a position may be is asked once, of all modes.
     far = max(1.0, float(distance2.min()) / motion.outlier_gate**2)
     noise, spread = far * noise, spread + (far - 1.0) * noise
     distance2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(spread), off)
@@ -466,10 +471,10 @@ def _updated(
     weight = np.exp(likely - likely.max())
     for k in range(_ITERATIONS):
         if k > 0:
-            there, design = _sight(at[:, :2] - eye_m)
+            there, design = _line_of_sight(at[:, :2] - camera_position_m)
         cross = covariance[:, :, :2] @ np.swapaxes(design, 1, 2)
         gain = cross @ np.linalg.inv(design @ place @ np.swapaxes(design, 1, 2) + noise)
-        rest = _off(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
+        rest = _residual(sight, there) - np.einsum("kij,kj->ki", design, (expected - at)[:, :2])
         at = expected + np.einsum("kij,kj->ki", gain, rest)
     left = covariance - gain @ np.swapaxes(cross, 1, 2)
     return replace(
@@ -481,8 +486,8 @@ def _updated(
     )
 
 
-def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bearing and inverse range (N, 2) of places (N, 2), and their derivatives (N, 2, 2)."""
+def _line_of_sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bearing and inverse range (N, 2) of places (N, 2), and their Jacobian (N, 2, 2)."""
     east, north = en_m.T
     range_m = np.maximum(np.hypot(east, north), _NEAREST_M)
     squared, cubed = range_m**2, range_m**3
@@ -494,7 +499,7 @@ def _sight(en_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     return sight, rows
 
 
-def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
+def _residual(measured: FloatArray, expected: FloatArray) -> FloatArray:
     off = measured - expected
     off[:, 0] = np.remainder(off[:, 0] + np.pi, 2.0 * np.pi) - np.pi
     return np.asarray(off)
@@ -502,7 +507,7 @@ def _off(measured: FloatArray, expected: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ClosestApproach:
-    """When and how near a target passes the camera or another target, if both go on straight.
+    """Closest point of approach of a target to the camera or another, at constant velocity.
 
     Attributes:
         time_utc_s: POSIX seconds; not before now, nor after the horizon.
@@ -523,7 +528,7 @@ class ClosestApproach:
 def closest_approach(
     one: MotionState, other: MotionState | None = None, *, horizon_s: float = 600.0
 ) -> ClosestApproach:
-    r"""The closest point of approach of a target to the camera, or to another target.
+    r"""Closest point of approach of a target to the camera, or to another target.
 
     With relative place :math:`p` and velocity :math:`v` it is at
     :math:`t = -p \cdot v / v \cdot v`. The standard deviations are of first order: that of the
@@ -590,7 +595,7 @@ def closest_approach(
 def closest_approaches(
     states: Iterable[MotionState], *, horizon_s: float = 600.0
 ) -> dict[tuple[int, int], ClosestApproach]:
-    """The closest point of approach of each of some targets to each other.
+    """Closest points of approach of all pairs of targets.
 
     Args:
         states: One target each.

@@ -1,9 +1,9 @@
-r"""The Gaussian chain behind the smoother: its posterior, its likelihood, its value at any time.
+r"""Gauss-Markov chain of the smoother: posterior, likelihood and interpolation.
 
 A target moves with nearly constant velocity, driven by white acceleration of spectral density
 ``q`` (Bar-Shalom, Li and Kirubarajan, *Estimation with Applications to Tracking and Navigation*,
-2001, section 6.2.2). Beside the target's state stand two numbers for the part of the measurement
-noise that lasts: Ornstein-Uhlenbeck processes of unit variance and time constant ``tau``. A node
+2001, section 6.2.2). Beside the target's state stand two numbers for the correlated measurement
+noise: Ornstein-Uhlenbeck processes of unit variance and time constant ``tau``. A node
 of the chain is ``(east, north, velocity east, velocity north, o_1, o_2)``.
 
 The posterior of a linear Gaussian chain has a block tridiagonal precision matrix. Its banded
@@ -44,8 +44,8 @@ class Nodes:
         root_m: (N, 2, 2) float64, lower Cholesky factor of one measurement's stated covariance
             in those axes.
         count: (N,) float64, how many measurements the node is the mean of.
-        agility: (N + 1,) float64, by how much the spectral density of the acceleration differs
-            from the usual one: before the first node, between nodes, after the last.
+        process_noise_scale: (N + 1,) float64, by how much the spectral density of the acceleration
+            differs from the usual one: before the first node, between nodes, after the last.
     """
 
     time_s: FloatArray
@@ -53,31 +53,31 @@ class Nodes:
     axes: FloatArray
     root_m: FloatArray
     count: FloatArray
-    agility: FloatArray
+    process_noise_scale: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """What drives the chain.
+    """Process noise and measurement noise of the chain.
 
     Attributes:
         q_m2ps3: Spectral density of the acceleration.
-        tau_s: Time constant of the lasting noise.
+        correlation_time_s: Time constant of the correlated noise.
         white: Shares of the stated standard deviation that are white, along and across.
-        lasting: Shares that last.
+        correlated: Shares that are correlated.
         speed_mps: Standard deviation of each component of the velocity before measurements.
     """
 
     q_m2ps3: float
-    tau_s: float
+    correlation_time_s: float
     white: tuple[float, float]
-    lasting: tuple[float, float]
+    correlated: tuple[float, float]
     speed_mps: float
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The smoothed chain.
+    """Smoothed states of the chain.
 
     Attributes:
         time_s: (N,) float64.
@@ -150,7 +150,7 @@ class Posterior:
 
     @cached_property
     def _columns(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and covariance of two neighbouring nodes together, (8, N - 1) and (64, N - 1)."""
+        """Joint mean and covariance of neighbouring nodes, (8, N - 1) and (64, N - 1)."""
         mean = self.mean.T
         joint_mean = np.concatenate([mean[:, :-1], mean[:, 1:]])
         joint = np.empty((8, 8, self.time_s.size - 1))
@@ -160,7 +160,7 @@ class Posterior:
         return joint_mean, joint.reshape(64, -1)
 
     def position_at(self, time_s: FloatArray) -> FloatArray:
-        """Mean position (M, 2) at any times (M,), as `at` has it."""
+        """Mean position (M, 2) at any times (M,), as by `at`."""
         if self.time_s.size == 1:
             return self.mean[:, :2] + (time_s - self.time_s)[:, None] * self.mean[:, 2:]
         right = np.clip(np.searchsorted(self.time_s, time_s), 1, self.time_s.size - 1)
@@ -178,7 +178,7 @@ class Posterior:
         return out.T
 
     def acceleration_energy(self) -> tuple[FloatArray, FloatArray]:
-        """How hard the target accelerated between nodes, and how many draws that was seen from.
+        """Acceleration energy between nodes, and its effective number of draws.
 
         Returns:
             Two (N - 1,) arrays: the sum of squares of the smoothed changes, in units of a spectral
@@ -195,7 +195,7 @@ class Posterior:
 def _energy(
     lag_s: FloatArray, mean: FloatArray, own: FloatArray, cross: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Squares of the changes between nodes, in units of a spectral density of 1 m²/s³.
+    """Squared process noise between nodes, in units of a spectral density of 1 m²/s³.
 
     Args:
         lag_s: (N - 1,) between nodes.
@@ -230,7 +230,7 @@ def _transposed(matrices: FloatArray) -> FloatArray:
 
 
 def _weighted(weights: FloatArray, columns: FloatArray) -> FloatArray:
-    """Sum of columns (4, ..., M) with weights (4, M)."""
+    """Weighted sum of columns (4, ..., M) with weights (4, M)."""
     out: FloatArray = weights[0] * columns[0]
     for weight, column in zip(weights[1:], columns[1:], strict=True):
         out += weight * column
@@ -238,7 +238,7 @@ def _weighted(weights: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 def _on_both_axes(matrices: FloatArray) -> FloatArray:
-    """(M, 2, 2) of position and velocity along one axis, for both axes: (M, 4, 4)."""
+    """Extend (M, 2, 2) for position and velocity along one axis to both: (M, 4, 4)."""
     out = np.zeros((matrices.shape[0], 4, 4))
     for axis in (0, 1):
         out[:, axis::2, axis::2] = matrices
@@ -255,14 +255,14 @@ def _transition(lag_s: FloatArray) -> FloatArray:
 
 
 def _diffusion(lag_s: FloatArray) -> FloatArray:
-    """Of the state after a lag, forwards or backwards in time, for a spectral density of 1."""
+    """Process noise after a lag, forwards or backwards in time, for a spectral density of 1."""
     span = np.abs(lag_s)
     crossed = lag_s * span / 2.0
     return _two_by_two(span**3 / 3.0, crossed, crossed, span)
 
 
 def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The state between two known ones: how it depends on them, and what stays unknown.
+    """Bridge between two known states: interpolation weights and residual covariance.
 
     Args:
         first_s: (M,) seconds since the one before.
@@ -297,7 +297,7 @@ def _bridge(first_s: FloatArray, second_s: FloatArray) -> tuple[FloatArray, Floa
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Precision, right-hand side and constants of a chain of N nodes.
+    """Precision matrix, right-hand side and constants of a chain of N nodes.
 
     Attributes:
         band: (6, 9, N) lower diagonals: ``band[j, d, n]`` is the entry ``d`` below the diagonal
@@ -305,7 +305,8 @@ class _System:
         right: (6, N).
         minus_two_log: The terms of -2 log likelihood that do not need the solution.
         whitened: (2, N) measurements in units of their white noise.
-        design: (2, 4, N) what they measure of a node's position and lasting noise, in these units.
+        design: (2, 4, N) what they measure of a node's position and correlated noise, in these
+            units.
     """
 
     band: FloatArray
@@ -316,7 +317,7 @@ class _System:
 
 
 def _system(nodes: Nodes, parameters: Parameters) -> _System:
-    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    q = parameters.q_m2ps3 * nodes.process_noise_scale[1:-1]
     n = nodes.time_s.size
     band = np.zeros((STATE, BAND, n))
 
@@ -338,18 +339,18 @@ def _system(nodes: Nodes, parameters: Parameters) -> _System:
     velocity[:, 4, :-1] = -b
     velocity[:, 6, :-1] = c
 
-    kept = np.exp(-lag / parameters.tau_s)
+    kept = np.exp(-lag / parameters.correlation_time_s)
     fresh = 1.0 / (1.0 - kept * kept)
-    lasting = band[4:6]
-    lasting[:, 0, :-1] = kept * kept * fresh
-    lasting[:, 0, 1:] += fresh
-    lasting[:, 0, 0] += 1.0
-    lasting[:, 6, :-1] = -kept * fresh
+    correlated = band[4:6]
+    correlated[:, 0, :-1] = kept * kept * fresh
+    correlated[:, 0, 1:] += fresh
+    correlated[:, 0, 0] += 1.0
+    correlated[:, 6, :-1] = -kept * fresh
     # Of the motion, 12 / (q² lag⁴) is 3 c² / lag².
     minus_two_log = -2.0 * float(np.log(3.0 * (c / lag) ** 2 * fresh).sum())
 
     # One row a measurement, in units of its white noise.
-    (white, white_across), (share, share_across) = parameters.white, parameters.lasting
+    (white, white_across), (share, share_across) = parameters.white, parameters.correlated
     l11, l21, l22 = nodes.root_m[:, 0, 0], nodes.root_m[:, 1, 0], nodes.root_m[:, 1, 1]
     size = np.sqrt(nodes.count)
     first, second = size / (l11 * white), size / (l22 * white_across)
@@ -376,7 +377,7 @@ def _system(nodes: Nodes, parameters: Parameters) -> _System:
 
 
 def _factor(band: FloatArray) -> FloatArray:
-    """The banded Cholesky factor of rows (6 N, 9), each a column of the matrix."""
+    """Banded Cholesky factor of rows (6 N, 9), each a column of the matrix."""
     factor, info = dpbtrf(band.T, lower=1)
     if info != 0:
         raise np.linalg.LinAlgError(f"precision matrix is not positive definite at row {info}")
@@ -385,7 +386,7 @@ def _factor(band: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """The posterior of a chain, the nodes last.
+    """Posterior of a chain, the nodes last.
 
     Attributes:
         mean: (6, N).
@@ -432,14 +433,14 @@ def _solve(system: _System) -> _Solution:
 
 
 def smooth(nodes: Nodes, parameters: Parameters) -> Posterior:
-    """The posterior of position and velocity at the nodes."""
+    """Posterior of position and velocity at the nodes."""
     solution = _solve(_system(nodes, parameters))
     return Posterior(
         time_s=nodes.time_s,
         mean=solution.mean[:4].T,
         covariance=solution.covariance[:4, :4].transpose(2, 0, 1),
         cross=solution.cross[:4, :4].transpose(2, 0, 1),
-        q_m2ps3=parameters.q_m2ps3 * nodes.agility,
+        q_m2ps3=parameters.q_m2ps3 * nodes.process_noise_scale,
     )
 
 
@@ -455,8 +456,8 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
         parameters: Of the chain.
 
     Returns:
-        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``, ``tau_s``, ``white``
-        along and across, ``lasting`` along and across.
+        The value, and (6,) its derivatives by the logarithms of ``q_m2ps3``,
+        ``correlation_time_s``, ``white`` along and across, ``correlated`` along and across.
     """
     system = _system(nodes, parameters)
     solution = _solve(system)
@@ -466,11 +467,11 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
 
     lag = np.diff(nodes.time_s)
     energy, doubt = _energy(lag, mean, own, cross)
-    q = parameters.q_m2ps3 * nodes.agility[1:-1]
+    q = parameters.q_m2ps3 * nodes.process_noise_scale[1:-1]
     by_q = 4.0 * lag.size - ((energy + doubt) / q).sum()
 
-    # Of the lasting noise: o' = kept o + sqrt(1 - kept²) draw, for both components at once.
-    kept = np.exp(-lag / parameters.tau_s)
+    # Of the correlated noise: o' = kept o + sqrt(1 - kept²) draw, for both components at once.
+    kept = np.exp(-lag / parameters.correlation_time_s)
     fresh = 1.0 / (1.0 - kept * kept)
     old, both, new = np.zeros((3, lag.size))
     for j in (4, 5):
@@ -479,9 +480,9 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
         new += mean[j, 1:] ** 2 + own[j, j, 1:]
     drawn = fresh * (new - 2.0 * kept * both + kept * kept * old)
     by_kept = 2.0 * fresh * (kept * (drawn - 2.0) - (both - kept * old))
-    by_tau = (by_kept * kept * lag).sum() / parameters.tau_s
+    by_correlation_time = (by_kept * kept * lag).sum() / parameters.correlation_time_s
 
-    # Second moments of the white errors (in units of them), and with the lasting noise.
+    # Second moments of the white errors (in units of them), and with the correlated noise.
     seen = own[np.ix_(_SEEN, _SEEN)]
     pulled = (system.design[:, :, None] * seen).sum(axis=1)
     along2, across2 = rest * rest + (pulled * system.design).sum(axis=1)
@@ -492,12 +493,15 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
     n = nodes.time_s.size
     gradient = [
         by_q,
-        by_tau,
+        by_correlation_time,
         2.0 * (n - (along2 - lean * product).sum()),
         2.0 * (n - (across2 + lean * product).sum()),
-        -2.0 * parameters.lasting[0] / parameters.white[0] * (size @ (along_o1 - lean * across_o1)),
         -2.0
-        * parameters.lasting[1]
+        * parameters.correlated[0]
+        / parameters.white[0]
+        * (size @ (along_o1 - lean * across_o1)),
+        -2.0
+        * parameters.correlated[1]
         / parameters.white[1]
         * (size @ (lean * across_o1 + across_o2)),
     ]
@@ -505,7 +509,7 @@ def minus_two_log_likelihood(nodes: Nodes, parameters: Parameters) -> tuple[floa
 
 
 def _lower_blocks(columns: FloatArray) -> FloatArray:
-    """(6, 6, N) diagonal blocks of a factor, of its columns (6, 9, N)."""
+    """(6, 6, N) diagonal blocks of a banded factor, from its columns (6, 9, N)."""
     out = np.zeros((STATE, STATE, columns.shape[2]))
     for j in range(STATE):
         out[j:, j] = columns[j, : STATE - j]
@@ -513,7 +517,7 @@ def _lower_blocks(columns: FloatArray) -> FloatArray:
 
 
 def _inverse(matrices: FloatArray) -> FloatArray:
-    """(6, 6, N) of symmetric positive definite (6, 6, N), which it overwrites: Gauss and Jordan."""
+    """Invert (6, 6, N) symmetric positive definite matrices in place (Gauss-Jordan)."""
     for p in range(STATE):
         row = matrices[p] / matrices[p, p]
         row[p] = 1.0 / matrices[p, p]
@@ -526,7 +530,7 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 
 def _cross(lower: FloatArray, columns: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(6, 6, N - 1) covariance of each node with the next.
+    """(6, 6, N - 1) cross-covariance of each node with the next.
 
     A node given the next has the mean ``-L⁻ᵀ Bᵀ x``, where L is its block of the factor, and B
     the one below it.

@@ -1,4 +1,4 @@
-"""The paper's trajectory stage (section 4.3), as it stands there.
+"""The paper's trajectory stage (section 4.3), unchanged.
 
 Three steps: a moving average weighted by the detector's confidence, after outliers are rejected;
 spline interpolation where nothing was detected; extrapolation with the velocity at the end. The
@@ -126,7 +126,7 @@ class PaperChain:
 
 @dataclass(frozen=True, eq=False)
 class _EndVelocity:
-    """The velocity (2,) at an end of a track and its covariance (2, 2)."""
+    """Velocity (2,) at an end of a track, with its covariance (2, 2)."""
 
     velocity_mps: FloatArray
     covariance_m2ps2: FloatArray
@@ -139,7 +139,7 @@ def _end_velocity(
     from_end_s: FloatArray,
     window_s: float,
 ) -> _EndVelocity:
-    """The slope of the least-squares line through the measurements of the last window."""
+    """Slope of the least-squares line through the measurements of the last window."""
     near = from_end_s <= window_s
     if np.ptp(time_s[near]) <= 0.0:
         others = from_end_s[~near]
@@ -153,7 +153,7 @@ def _end_velocity(
 
 @dataclass(frozen=True, eq=False)
 class _Average:
-    """The moving average at the distinct times of the measurements."""
+    """Moving average at the distinct times of the measurements."""
 
     time_s: FloatArray
     en_m: FloatArray
@@ -165,7 +165,7 @@ class _Average:
     def at(
         self, time_s: FloatArray, degree: int
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and the covariance of either, at times (M,)."""
+        """Position and velocity with their covariances, at times (M,)."""
         inner = np.clip(time_s, self.time_s[0], self.time_s[-1])
         position = np.repeat(self.en_m[:1], time_s.size, axis=0)
         velocity = np.repeat(self.start.velocity_mps[None, :], time_s.size, axis=0)

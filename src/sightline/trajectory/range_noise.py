@@ -1,4 +1,4 @@
-r"""Measurements along and across the line of sight, with the noise of the range predicted.
+r"""Measurements along and across the line of sight, with noise at the predicted range.
 
 The camera stands at the origin of the plane. A measurement's axes are the direction in which it
 was seen and the one to the left of it; its bearing is good, its range less so, and both the more
@@ -30,7 +30,7 @@ _MEDIAN_OF = 25
 
 
 class Reference(Protocol):
-    """A path about which measurements are linearised."""
+    """Path about which measurements are linearised."""
 
     def position_at(self, time_s: FloatArray) -> FloatArray:
         """East and north (M, 2), metres, at times (M,)."""
@@ -39,7 +39,7 @@ class Reference(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RobustStart:
-    """A path through running medians, which no single outlier moves.
+    """Initial path through running medians, robust to single outliers.
 
     Attributes:
         time_s: (K,) float64.
@@ -53,7 +53,7 @@ class RobustStart:
     def of(
         cls, time_s: FloatArray, en_m: FloatArray, window_s: float = 2.0, at_least: int = 5
     ) -> RobustStart:
-        """Medians over a window of time, or of a number of neighbours where it holds fewer.
+        """Running medians over a time window, or over a number of neighbours where it holds fewer.
 
         Args:
             time_s: (N,) rising.
@@ -62,7 +62,7 @@ class RobustStart:
             at_least: Number of neighbours.
         """
         # Medians depend on the axes: along and across the mean direction, they turn with the plane.
-        _, sine, cosine = _sight(*en_m.mean(axis=0, keepdims=True).T)
+        _, sine, cosine = _line_of_sight(*en_m.mean(axis=0, keepdims=True).T)
         turn = np.array([[sine[0], cosine[0]], [-cosine[0], sine[0]]])
         middle = _firsts(np.floor(time_s / (0.15 * window_s)))
         first, stop = np.searchsorted(
@@ -88,7 +88,7 @@ class RobustStart:
 
 @dataclass(frozen=True, eq=False)
 class NoiseAtRange:
-    """Measurements, and how their noise grows with range.
+    """Measurements, with their noise as a power of the range.
 
     Attributes:
         en_m: (2, N) float64, measured, east and north.
@@ -113,9 +113,9 @@ class NoiseAtRange:
 
     @classmethod
     def of(cls, measured: Measurements) -> NoiseAtRange:
-        """Reads from the covariances how the noise grows."""
+        """Fit the growth of the noise with range to the stated covariances."""
         en_m = np.ascontiguousarray(measured.en_m.T)
-        range_m, sine, cosine = _sight(*en_m)
+        range_m, sine, cosine = _line_of_sight(*en_m)
         stated = np.stack([measured.covariance_m2[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))])
         covariance = _turned(stated, sine, cosine)
         sigma = np.sqrt(covariance[::2])
@@ -130,7 +130,7 @@ class NoiseAtRange:
         return cls(en_m, stated, range_m, sine, cosine, covariance, sigma / range_m, powers)
 
     def linearised(self, reference_m: FloatArray) -> Linearised:
-        """The measurements as linear ones, about a path.
+        """Linearise the measurements about a path.
 
         In polar form the bearing is that of the path and not the one measured: in the measured
         direction every measurement across the line of sight would agree with a target that
@@ -141,7 +141,7 @@ class NoiseAtRange:
         """
         east, north = reference_m.T
         if self.powers is None:
-            _, sine, cosine = _sight(east, north)
+            _, sine, cosine = _line_of_sight(east, north)
             measured = _along_across(self.en_m[0], self.en_m[1], sine, cosine)
             return Linearised(
                 measured_m=np.stack(measured),
@@ -180,10 +180,10 @@ class NoiseAtRange:
     def common_covariance(
         self, en_m: FloatArray, share_along: float, share_across: float
     ) -> FloatArray:
-        """Covariance (M, 2, 2), east and north, of a share of what is stated, at places (M, 2)."""
+        """(M, 2, 2) common covariance, east and north, of a share of the stated one."""
         out = np.zeros((2, 2, en_m.shape[0]))
         if share_along > 0.0 or share_across > 0.0:
-            range_m, sine, cosine = _sight(*en_m.T)
+            range_m, sine, cosine = _line_of_sight(*en_m.T)
             if self.powers is None:
                 along, mixed, across = _turned(self.stated_m2[:, :1], sine, cosine)
             else:
@@ -202,7 +202,9 @@ def _range(east_m: FloatArray, north_m: FloatArray) -> FloatArray:
     return out
 
 
-def _sight(east_m: FloatArray, north_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _line_of_sight(
+    east_m: FloatArray, north_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Ranges, and sines and cosines of the bearings, three (N,), of places."""
     length = np.sqrt(east_m * east_m + north_m * north_m)
     here = length < 1e-150
@@ -223,7 +225,7 @@ def _along_across(
 
 
 def _turned(matrices: FloatArray, sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    """(3, N) matrices in east and north as ones along and across."""
+    """Rotate (3, N) matrices from east and north to along and across."""
     first, mixed, second = matrices
     ss, sc, cc = sine * sine, sine * cosine, cosine * cosine
     twice = 2.0 * sc * mixed
@@ -237,7 +239,7 @@ def _turned(matrices: FloatArray, sine: FloatArray, cosine: FloatArray) -> Float
 
 
 def _turned_back(matrices: FloatArray, sine: FloatArray, cosine: FloatArray) -> FloatArray:
-    """(3, N) matrices along and across as ones in east and north."""
+    """Rotate (3, N) matrices from along and across to east and north."""
     return _turned(matrices, sine, -cosine)
 
 
@@ -249,7 +251,7 @@ def _inverse(matrices: FloatArray) -> FloatArray:
 
 
 def _firsts(cell: FloatArray) -> IntArray:
-    """Where a new value begins in a rising array."""
+    """Indices of the first of each run of equal values in a rising array."""
     new = np.empty(cell.size, dtype=np.bool_)
     new[:1] = True
     np.greater(cell[1:], cell[:-1], out=new[1:])
@@ -258,7 +260,7 @@ def _firsts(cell: FloatArray) -> IntArray:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Linear measurements about a path.
+    """Measurements linearised about a path.
 
     Attributes:
         measured_m: (2, N) float64, along and across.
@@ -275,12 +277,12 @@ class Linearised:
     reference_m: FloatArray
 
     def residual(self, en_m: FloatArray) -> FloatArray:
-        """(2, N) measured less where the target is taken to be (N, 2), along and across."""
+        """(2, N) residuals, measurement less position (N, 2), along and across."""
         expected = _along_across(en_m[:, 0], en_m[:, 1], self.sine, self.cosine)
         return self.measured_m - np.stack(expected)
 
     def start_gate(self, gate: float) -> BoolArray:
-        """Which measurements lie near the path, by the scatter of all of them about it.
+        """Gate measurements about the initial path, by the scatter of all of them.
 
         Args:
             gate: Of the squared distance in units of that scatter, or of the stated covariance
@@ -295,7 +297,7 @@ class Linearised:
     def squared_distance(
         self, en_m: FloatArray, fitted_m2: FloatArray, share: FloatArray, used: BoolArray
     ) -> FloatArray:
-        """(N,) squared distances from a fitted path, in units of their covariance.
+        """(N,) squared Mahalanobis distances from a fitted path.
 
         The residual of a generalised least-squares fit has the covariance of the noise less that
         of the fit; a measurement that was left out has their sum.
@@ -323,7 +325,7 @@ class Linearised:
     def nodes(
         self, time_s: FloatArray, used: BoolArray, reference: Reference, resolution_s: float
     ) -> Nodes:
-        """The used measurements, those within a stretch of time as one: their weighted mean.
+        """Average the used measurements within each time step to nodes, weighted by precision.
 
         Args:
             time_s: (N,) rising.
@@ -349,7 +351,7 @@ class Linearised:
         sums = np.add.reduceat(rows, first, axis=1)
         node_s = sums[0] / count
         mean = _inverse(sums[1:4])
-        _, sine, cosine = _sight(sums[6], sums[7])
+        _, sine, cosine = _line_of_sight(sums[6], sums[7])
         at = reference.position_at(node_s)
         east = at[:, 0] + mean[0] * sums[4] + mean[1] * sums[5]
         north = at[:, 1] + mean[1] * sums[4] + mean[2] * sums[5]
@@ -367,5 +369,5 @@ class Linearised:
             axes=axes.transpose(2, 0, 1),
             root_m=root.transpose(2, 0, 1),
             count=count,
-            agility=np.ones(count.size + 1),
+            process_noise_scale=np.ones(count.size + 1),
         )

@@ -1,11 +1,11 @@
-r"""A robust Rauch-Tung-Striebel smoother that knows how unsure each position is.
+r"""Robust Rauch-Tung-Striebel smoother with covariances and learned noise.
 
 The target moves with nearly constant velocity. What is told of a position's covariance is taken
 for its size, and the rest is learned from the track itself by maximum likelihood:
 
-* how much of the noise is white from box to box and how much lasts (a detector that is wrong in
-  one frame is wrong in the next), for how long, and how large both are against what was stated,
-  along the line of sight and across it;
+* how much of the noise is white from box to box and how much is correlated (a detector that is
+  wrong in one frame is wrong in the next), its correlation time, and how large both are against
+  what was stated, along the line of sight and across it;
 * how hard the target accelerates, usually and in each part of the track.
 
 Priors hold where a track is too short or too sparse to tell.
@@ -55,21 +55,21 @@ _MEDIAN_CHI2_2 = 2.0 * np.log(2.0)
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """How a target moves and how the measurements of it err.
+    """Process noise of a target and measurement noise of its positions.
 
     Shares are of the stated standard deviation; along the line of sight, and across it.
 
     Attributes:
         acceleration_m2ps3: Spectral density of the white acceleration, m²/s³.
-        lasting_s: Time constant of the noise that lasts, seconds.
+        correlation_time_s: Time constant of the correlated noise, seconds.
         white_along: Share that is independent from box to box.
         white_across: The same, across the line of sight.
-        lasting_along: Share that lasts.
+        lasting_along: Share that is correlated.
         lasting_across: The same, across.
     """
 
     acceleration_m2ps3: float
-    lasting_s: float
+    correlation_time_s: float
     white_along: float
     white_across: float
     lasting_along: float
@@ -83,14 +83,14 @@ class NoiseModel:
 
 
 # Normal priors of the logarithms: median and standard deviation. Vessels and vehicles accelerate
-# at 0.1 to 2 m/s², for seconds. The errors of detectors last for half a second to a second; that
-# is held tightly, since what lasts longer cannot be told from a turn. The part that lasts has a
-# low median: where the measurements show none of it, it must fade out.
+# at 0.1 to 2 m/s², for seconds. The errors of detectors are correlated over half a second to a
+# second; that is held tightly, since what lasts longer cannot be told from a turn. The correlated
+# part has a low median: where the measurements show none of it, it must fade out.
 _PRIOR_MEDIAN = NoiseModel(0.1, 0.8, 0.8, 0.8, 0.03, 0.03)
 _PRIOR_SD = np.array([2.0, 0.15, 1.0, 1.0, 2.0, 2.0])
 _BEFORE_LEARNING = NoiseModel(0.2, 0.8, 0.7, 0.7, 0.5, 0.5)
 _TOTAL_PRIOR_SD = 0.4
-# Of the acceleration, the time constant, all noise along and across, the lasting over the white.
+# Of the acceleration, the time constant, all noise along and across, the correlated over the white.
 _BOUNDS = [(1e-4, 30.0), (0.1, 5.0), (0.03, 20.0), (0.03, 20.0), (1e-3, 100.0), (1e-3, 100.0)]
 _CURVATURE = np.array([0.3, 0.3, 2.0, 1.0, 0.03, 0.03])
 """Of the log likelihood by the logarithms of these, for each node; about."""
@@ -100,7 +100,7 @@ _ENOUGH = 3e-3
 
 @dataclass(frozen=True, eq=False)
 class SmoothedTrack:
-    """A smoothed target, which can be asked for any time.
+    """Smoothed track that can be evaluated at any time.
 
     Attributes:
         noise: What was learned, or was set.
@@ -124,7 +124,7 @@ class SmoothedTrack:
     _measured: Measurements
 
     def at(self, time_utc_s: FloatArray, *, track_id: int = 0, label: str = "") -> Track:
-        """The track at given times.
+        """Evaluate the track at given times.
 
         Args:
             time_utc_s: (M,) float64, POSIX seconds, strictly increasing.
@@ -152,7 +152,7 @@ class SmoothedTrack:
 
 @dataclass(frozen=True)
 class RtsSmoother:
-    """The smoother; without settings it learns what it needs from the track.
+    """Rauch-Tung-Striebel smoother; without settings its noise is learned from each track.
 
     Attributes:
         noise: Motion and noise; None: learned from each track. Where they are given, the target
@@ -205,7 +205,7 @@ class RtsSmoother:
     def smooth(
         self, time_utc_s: FloatArray, positions: EastNorthPositions, *, track_id: int = 0
     ) -> SmoothedTrack:
-        """The smoothed target, to be asked for any time.
+        """Smooth the positions of one target to a track at any time.
 
         Args:
             time_utc_s: (N,) float64, POSIX seconds.
@@ -239,7 +239,9 @@ class RtsSmoother:
             if self.noise is None and i == 0:
                 noise = _learned(nodes, noise, self.speed_mps)
             elif self.noise is None:
-                nodes = replace(nodes, agility=_agility(posterior, nodes.time_s, noise))
+                nodes = replace(
+                    nodes, process_noise_scale=_process_noise_scale(posterior, nodes.time_s, noise)
+                )
             before = posterior.position_at(nodes.time_s)
             posterior = chain.smooth(nodes, _parameters(noise, self.speed_mps))
             moved2 = ((posterior.mean[:, :2] - before) ** 2).sum(axis=1)
@@ -269,15 +271,15 @@ class RtsSmoother:
         if self.noise is not None:
             return 0.0, 0.0
         n = float(nodes.count.sum())
-        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.lasting_s
+        spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.correlation_time_s
         shares = []
-        for white, lasting in (
+        for white, correlated in (
             (noise.white_along, noise.lasting_along),
             (noise.white_across, noise.lasting_across),
         ):
-            seen = white**2 + lasting**2
+            seen = white**2 + correlated**2
             # Standard deviation of the logarithm of the scatter, as for so many independent draws.
-            spread = np.sqrt(2.0 * (white**4 / n + lasting**4 / min(n, spells))) / seen
+            spread = np.sqrt(2.0 * (white**4 / n + correlated**4 / min(n, spells))) / seen
             doubt = float(np.hypot(spread, _STATED_DOUBT))
             shares.append(max(0.0, 1.0 - seen * float(np.exp(2.0 * doubt))))
         return shares[0], shares[1]
@@ -290,9 +292,9 @@ def _logs(noise: NoiseModel) -> FloatArray:
 def _parameters(noise: NoiseModel, speed_mps: float) -> chain.Parameters:
     return chain.Parameters(
         q_m2ps3=noise.acceleration_m2ps3,
-        tau_s=noise.lasting_s,
+        correlation_time_s=noise.correlation_time_s,
         white=(noise.white_along, noise.white_across),
-        lasting=(noise.lasting_along, noise.lasting_across),
+        correlated=(noise.lasting_along, noise.lasting_across),
         speed_mps=speed_mps,
     )
 
@@ -306,7 +308,7 @@ def _gate(
     used: BoolArray,
     gate: float,
 ) -> BoolArray:
-    """Which measurements agree with the track that the others make.
+    """Gate measurements by their Mahalanobis distance from the track of the others.
 
     Args:
         time_s: (N,) of the measurements.
@@ -335,8 +337,10 @@ def _gate(
     return kept if (kept & used).any() else used
 
 
-def _agility(posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel) -> FloatArray:
-    """How hard the target accelerates in each part of its track, against what is usual for it.
+def _process_noise_scale(
+    posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel
+) -> FloatArray:
+    """Local scale of the process noise along a track, against its usual value.
 
     Boats go straight, and then they turn. The spectral density of the acceleration is that which
     fits the smoothed track within some seconds, held to the usual one as by so many draws.
@@ -369,22 +373,24 @@ def _agility(posterior: chain.Posterior, time_s: FloatArray, noise: NoiseModel) 
 
 
 def _excerpt(nodes: chain.Nodes) -> chain.Nodes:
-    """Stretches spread evenly over a long track: as much as its noise can be learned from well."""
+    """Evenly spread excerpts of a long track, enough to learn its noise from."""
     stretch = np.arange(nodes.time_s.size) // _STRETCH
     if stretch[-1] < _STRETCHES:
         return nodes
     chosen = np.linspace(0, stretch[-1], _STRETCHES).round()
     kept = np.isin(stretch, chosen)
-    columns = {name: column[kept] for name, column in vars(nodes).items() if name != "agility"}
-    return chain.Nodes(**columns, agility=np.ones(int(kept.sum()) + 1))
+    columns = {
+        name: column[kept] for name, column in vars(nodes).items() if name != "process_noise_scale"
+    }
+    return chain.Nodes(**columns, process_noise_scale=np.ones(int(kept.sum()) + 1))
 
 
 def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseModel:
-    """The noise model with the largest posterior probability given the measurements.
+    """Maximum a posteriori noise model, given the measurements.
 
-    In place of the white and the lasting share along each axis it is looked for by the logarithms
-    of both together and of their ratio: the measurements tell the former well whatever the latter
-    is, so that the objective is nearly a sum of functions of one variable.
+    In place of the white and the correlated share along each axis it is looked for by the
+    logarithms of both together and of their ratio: the measurements tell the former well whatever
+    the latter is, so that the objective is nearly a sum of functions of one variable.
     """
     nodes = _excerpt(nodes)
     centre = np.einsum("nij,ni->nj", nodes.axes, nodes.measured_m).mean(axis=0)
@@ -403,9 +409,9 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         total = scaled[2:4] * scale[2:4] / _TOTAL_PRIOR_SD
         value += float(belief @ belief + total @ total)
         gradient += 2.0 * belief / _PRIOR_SD
-        white, lasting = gradient[2:4].copy(), gradient[4:].copy()
-        gradient[2:4] = white + lasting + 2.0 * total / _TOTAL_PRIOR_SD
-        gradient[4:] = lasting - lasting_part * (white + lasting)
+        white, correlated = gradient[2:4].copy(), gradient[4:].copy()
+        gradient[2:4] = white + correlated + 2.0 * total / _TOTAL_PRIOR_SD
+        gradient[4:] = correlated - lasting_part * (white + correlated)
         values.append(0.5 * value)
         # What is gained since the start is the measure of when to stop.
         return values[-1] - values[0], 0.5 * gradient * scale
@@ -427,9 +433,9 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
 
 
 def _shares(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Logarithms in the order of `NoiseModel`, of those by which `_learned` looks for it.
+    """Logarithms of `NoiseModel`, from the parameters that `_learned` optimises.
 
-    Also the share (2,) of the lasting noise in the variance, along and across.
+    Also the share (2,) of the correlated noise in the variance, along and across.
     """
     out = logs.copy()
     lasting_part = 1.0 / (1.0 + np.exp(-2.0 * logs[4:]))

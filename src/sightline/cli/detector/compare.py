@@ -9,13 +9,7 @@ import typer
 from rich.table import Table
 
 from sightline import _optional
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    stdout,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, stdout, write_result
 from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,

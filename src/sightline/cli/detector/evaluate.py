@@ -96,10 +96,7 @@ def evaluate(
     # Before a detector has looked at all frames.
     _optional.module("pycocotools", "score")
     from sightline.detection import OnnxDetector
-    from sightline.evaluation.detection import (
-        pooled,
-        score_detections,
-    )
+    from sightline.evaluation.detection import pooled, score_detections
     from sightline.formats.labels import parse_margins
     from sightline.georeferencing.georeferencer import load_model
     from sightline.pipeline.sources import make_detector

@@ -8,12 +8,7 @@ from typing import Annotated
 import typer
 
 from sightline import _optional
-from sightline.cli.common import (
-    keep_apart,
-    progress,
-    say,
-    write_result,
-)
+from sightline.cli.common import keep_apart, progress, say, write_result
 from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
@@ -75,7 +70,7 @@ def train(
         list[str] | None,
         typer.Option(
             metavar="SOURCE=PX[+SHARE%]",
-            help="Added on every side of the boxes of an annotator, whose habit it evens out: "
+            help="Added on every side of the boxes of an annotator, whose bias it evens out: "
             "pixels, and a share of the box's height. May be given several times.",
         ),
     ] = None,

@@ -1,4 +1,4 @@
-"""What the estimators of this stage share: how data enters, how state leaves."""
+"""Base class of the paper's estimators: checks of inputs, scaling and state."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Settings = dict[str, Any]
 
 
 class CovarianceRegressor(Protocol):
-    """A scikit-learn regressor that tells how unsure it is, and that can be stored.
+    """A scikit-learn regressor with predictive covariance and storable state.
 
     Attributes:
         residual_covariance_: (K, K) float64, the covariance of what the fitted estimator leaves
@@ -28,27 +28,27 @@ class CovarianceRegressor(Protocol):
     residual_covariance_: FloatArray
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Learn from features (N, n) and targets (N,) or (N, K)."""
+        """Fit to features (N, n) and targets (N,) or (N, K)."""
         ...
 
     def predict(self, X: ArrayLike, return_cov: bool = False) -> Any:
-        """Targets, shaped as in `fit`; with ``return_cov`` also their (N, K, K) covariances."""
+        """Predictions, shaped as in `fit`; with ``return_cov`` also (N, K, K) covariances."""
         ...
 
     def state(self) -> tuple[Arrays, Settings]:
-        """What `from_state` needs to predict the same."""
+        """State that `from_state` restores."""
         ...
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The estimator that `state` described."""
+        """Restore the estimator from its `state`."""
         ...
 
 
 def check_pairs(
     estimator: Any, X: ArrayLike, y: ArrayLike, *, reset: bool = True
 ) -> tuple[FloatArray, FloatArray]:
-    """Features and targets as scikit-learn wants them checked.
+    """Validate features and targets as scikit-learn does.
 
     Returns:
         (N, n) float64 and (N, K) float64; targets that came as (N,) become (N, 1), and
@@ -68,7 +68,7 @@ def check_pairs(
 
 
 def check_features(estimator: Any, X: ArrayLike) -> FloatArray:
-    """Features of a fitted estimator, (N, n) float64, checked as `check_pairs` does."""
+    """Validate features of a fitted estimator, (N, n) float64, as `check_pairs` does."""
     checked: FloatArray = validate_data(estimator, X, reset=False, dtype=np.float64)
     return checked
 
@@ -85,7 +85,7 @@ def like_targets(estimator: Any, predicted: FloatArray) -> FloatArray:
 
 
 class Scaler:
-    """Columns brought to mean 0 and standard deviation 1.
+    """Standardises columns to mean 0 and standard deviation 1.
 
     A constant column is brought to 0, and whatever is predicted for it goes back to the constant.
 
@@ -111,9 +111,9 @@ class Scaler:
         return (values - self.mean) / np.where(self.scale > 0.0, self.scale, 1.0)
 
     def back(self, values: FloatArray) -> FloatArray:
-        """The values that `forward` standardised."""
+        """Undo `forward`."""
         return values * self.scale + self.mean
 
     def covariance_back(self, covariance: FloatArray) -> FloatArray:
-        """Covariances (..., K, K) of standardised values as those of the values."""
+        """Covariances (..., K, K) of standardised values, in the units of the values."""
         return covariance * np.outer(self.scale, self.scale)

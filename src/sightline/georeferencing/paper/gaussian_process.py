@@ -59,7 +59,7 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
         self.max_points = max_points
 
     def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Keep the points and find the kernel's parameters.
+        """Keep the training points and fit the kernel's hyperparameters.
 
         Args:
             X: (N, n) features.
@@ -85,7 +85,7 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
     def predict(
         self, X: ArrayLike, return_cov: bool = False
     ) -> FloatArray | tuple[FloatArray, FloatArray]:
-        """The mean of the process.
+        """Predictive mean of the process.
 
         Args:
             X: (N, n) features.
@@ -115,7 +115,7 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
         return predictions, variance[:, None, None] * self._output_covariance
 
     def state(self) -> tuple[Arrays, Settings]:
-        """The points kept, their scales and the kernel's parameters."""
+        """Training points, scales and hyperparameters."""
         check_is_fitted(self)
         arrays: Arrays = {
             "feature_mean": self._feature_scaler.mean,
@@ -136,7 +136,7 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The estimator that `state` described."""
+        """Restore the estimator from its `state`."""
         estimator = cls(max_points=settings["max_points"])
         estimator._feature_scaler = Scaler(arrays["feature_mean"], arrays["feature_scale"])
         estimator._target_scaler = Scaler(arrays["target_mean"], arrays["target_scale"])
@@ -164,7 +164,7 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
 
 
 def spread_out(points: FloatArray, n_kept: int) -> NDArray[np.intp]:
-    """The rows of a table that lie furthest apart (the greedy k-centre of Gonzalez, 1985).
+    """Farthest-point subset of a table's rows (the greedy k-centre of Gonzalez, 1985).
 
     Args:
         points: (N, n).

@@ -59,7 +59,7 @@ class PaperModel:
         *,
         image_size_px: tuple[int, int],
     ) -> Self:
-        """Learn from pairs.
+        """Fit to correspondences.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels.
@@ -106,7 +106,7 @@ class PaperModel:
         return self
 
     def predict(self, boxes_xyxy_px: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Where boxes lie.
+        """Positions of boxes.
 
         Args:
             boxes_xyxy_px: (N, 4) pixels.
@@ -131,17 +131,17 @@ class PaperModel:
     """The paper's models go from a box to a place, and know of no camera."""
     camera_fit = None
     reference_sigma_m = 0.0
-    """They do not tell a log's lasting error from a box's."""
+    """They do not tell a log's correlated error from a box's."""
 
     def locate(
         self, boxes_xyxy_px: FloatArray, source: StrArray | None, above_m: FloatArray
     ) -> Placement:
-        """As `predict`; sources and water levels mean nothing to it."""
+        """As `predict`; sources and water levels are ignored."""
         del source, above_m
         return Placement(*self.predict(boxes_xyxy_px))
 
     def state(self) -> tuple[Arrays, Settings]:
-        """What `from_state` needs to predict the same: arrays, and the rest as JSON can hold it."""
+        """State that `from_state` restores: arrays, and the rest as JSON can hold it."""
         check_is_fitted(self.estimator)
         arrays, settings = self.estimator.state()
         return (
@@ -155,7 +155,7 @@ class PaperModel:
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The model that `state` described.
+        """Restore the model from its `state`.
 
         Raises:
             ModelFileError: Something is missing or does not fit together.

@@ -86,7 +86,7 @@ class NeuralNetworkRegression(RegressorMixin, BaseEstimator):  # type: ignore[mi
     def predict(
         self, X: ArrayLike, return_cov: bool = False
     ) -> FloatArray | tuple[FloatArray, FloatArray]:
-        """The network's output.
+        """Predictions of the network.
 
         Args:
             X: (N, n) features.
@@ -127,7 +127,7 @@ class NeuralNetworkRegression(RegressorMixin, BaseEstimator):  # type: ignore[mi
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The estimator that `state` described."""
+        """Restore the estimator from its `state`."""
         params = dict(settings)
         flat_targets, n_iter = params.pop("flat_targets"), params.pop("n_iter")
         params["hidden_layer_sizes"] = tuple(params["hidden_layer_sizes"])

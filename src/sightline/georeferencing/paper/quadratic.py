@@ -72,7 +72,7 @@ class QuadraticKernelRegression(RegressorMixin, BaseEstimator):  # type: ignore[
         return self
 
     def partial_fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Add rows to those seen so far, and solve again.
+        """Update the fit with more rows.
 
         Args:
             X: (N, n) features.
@@ -133,7 +133,7 @@ class QuadraticKernelRegression(RegressorMixin, BaseEstimator):  # type: ignore[
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The estimator that `state` described."""
+        """Restore the estimator from its `state`."""
         estimator = cls(rcond=settings["rcond"])
         estimator.n_features_in_ = settings["n_features"]
         estimator.flat_targets_ = settings["flat_targets"]
@@ -204,7 +204,7 @@ class QuadraticKernelRegression(RegressorMixin, BaseEstimator):  # type: ignore[
 
 
 def lift(X: FloatArray) -> FloatArray:
-    """``vec([x; 1] [x; 1]ᵀ)`` of every row.
+    """Quadratic feature vectors ``vec([x; 1] [x; 1]ᵀ)`` of every row.
 
     Args:
         X: (N, n).

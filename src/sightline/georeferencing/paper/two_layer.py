@@ -1,4 +1,4 @@
-"""The paper's two-layer model: a layer that generalises and one that learns what it leaves."""
+"""The paper's two-layer model: a base regression and one of its residual."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class TwoLayerRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
 
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
-        """The estimator that `state` described.
+        """Restore the estimator from its `state`.
 
         Raises:
             InputError: A layer is none of `LAYERS`.

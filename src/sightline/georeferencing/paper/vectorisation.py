@@ -1,4 +1,4 @@
-"""Symmetric matrices as vectors, so that the inner product stays what it was (appendix 7.1)."""
+"""Vectorisation of symmetric matrices that preserves the inner product (appendix 7.1)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def vec(matrices: ArrayLike) -> FloatArray:
 
 
 def ivec(vectors: ArrayLike) -> FloatArray:
-    """The symmetric matrices that `vec` made vectors of.
+    """Inverse of `vec`: symmetric matrices from their vectors.
 
     Args:
         vectors: (..., n (n + 1) / 2).
@@ -64,7 +64,7 @@ def ivec(vectors: ArrayLike) -> FloatArray:
 
 
 def vec_weights(n: int) -> FloatArray:
-    """What `vec` multiplies the entries of an n x n matrix with: (n (n + 1) / 2,), 1s then √2s."""
+    """Weights of `vec` for the entries of an n x n matrix: (n (n + 1) / 2,), 1s then √2s."""
     return _layout(n)[2]
 
 

@@ -8,7 +8,7 @@ from sklearn.base import clone
 
 from sightline.camera.observations import NO_SOURCE, Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import SourceBelief
+from sightline.camera.priors import SourcePrior
 from sightline.errors import FitError, InputError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.observations import CameraObservations
@@ -48,7 +48,7 @@ def test_features_and_targets_alone_teach_a_camera() -> None:
 
 
 def test_a_clone_keeps_what_is_believed_of_sources() -> None:
-    belief = SourceBelief(bias_px=(6.0, 0.01), bias_m=(0.0, 0.01))
+    belief = SourcePrior(bias_px=(6.0, 0.01), bias_m=(0.0, 0.01))
     boxes, places = boxes_and_places()
     boxes[:, [1, 3]] += 6.0
     model = CameraRegressor(SIZE, residual=False, starts=2, source_priors={"low": belief})

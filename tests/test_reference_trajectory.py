@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.geodesy import LocalPlane
-from sightline.logged_path import LoggedPath
+from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import Fixes
 
 PLANE = LocalPlane(54.0, 10.0)
@@ -25,7 +25,7 @@ def log_of(times):
 
 def test_reports_with_course_and_speed_bridge_long_gaps_along_the_curve():
     fixes, velocity = log_of(np.arange(0.0, 301.0, 30.0))
-    path = LoggedPath.of(fixes, PLANE, velocity)
+    path = ReferenceTrajectory.of(fixes, PLANE, velocity)
     asked = np.arange(0.0, 300.0, 1.7)
     truth, moving = circle(asked)
     at = path.at(asked)
@@ -37,7 +37,7 @@ def test_reports_with_course_and_speed_bridge_long_gaps_along_the_curve():
 
 def test_without_course_and_speed_only_short_gaps_count_and_lines_are_straight():
     fixes, _ = log_of(np.array([0.0, 4.0, 40.0, 44.0]))
-    at = LoggedPath.of(fixes, PLANE).at([2.0, 20.0, 42.0])
+    at = ReferenceTrajectory.of(fixes, PLANE).at([2.0, 20.0, 42.0])
     middle = circle([0.0, 4.0])[0].mean(axis=0)
     np.testing.assert_allclose(at.east_north_m[0], middle, atol=1e-6)
     assert np.isnan(at.east_north_m[1]).all()
@@ -48,11 +48,11 @@ def test_without_course_and_speed_only_short_gaps_count_and_lines_are_straight()
 def test_a_log_of_less_than_two_fixes_tells_nothing(count):
     times = np.arange(float(count))
     fixes, velocity = log_of(times)
-    at = LoggedPath.of(fixes, PLANE, velocity).at([0.0, 1.0])
+    at = ReferenceTrajectory.of(fixes, PLANE, velocity).at([0.0, 1.0])
     assert np.isnan(at.east_north_m).all()
 
 
 def test_outside_the_log_and_beyond_the_longest_gap_nothing_is_known():
     fixes, velocity = log_of(np.array([0.0, 10.0, 400.0]))
-    at = LoggedPath.of(fixes, PLANE, velocity).at([-1.0, 5.0, 200.0, 401.0])
+    at = ReferenceTrajectory.of(fixes, PLANE, velocity).at([-1.0, 5.0, 200.0, 401.0])
     assert np.isfinite(at.east_north_m[:, 0]).tolist() == [False, True, False, False]

@@ -19,7 +19,7 @@ _UNTOLD_MPS2 = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Whereabouts:
+class ReferenceStates:
     """Places of one vessel at given times.
 
     Attributes:
@@ -34,7 +34,7 @@ class Whereabouts:
 
 
 @dataclass(frozen=True, eq=False)
-class LoggedPath:
+class ReferenceTrajectory:
     """The log of one vessel as a path in the plane.
 
     Between two fixes that tell course and speed the path is the cubic that has those velocities at
@@ -55,7 +55,7 @@ class LoggedPath:
     @classmethod
     def of(
         cls, fixes: Fixes, plane: LocalPlane, velocity_mps: FloatArray | None = None
-    ) -> LoggedPath:
+    ) -> ReferenceTrajectory:
         """The path of a log.
 
         Args:
@@ -71,7 +71,7 @@ class LoggedPath:
         times, first = np.unique(fixes.time_utc_s, return_index=True)
         return cls(fixes.name, times, place[first], np.asarray(velocity_mps, dtype=float)[first])
 
-    def at(self, time_utc_s: ArrayLike) -> Whereabouts:
+    def at(self, time_utc_s: ArrayLike) -> ReferenceStates:
         """Where the vessel was.
 
         Args:
@@ -82,7 +82,7 @@ class LoggedPath:
         place, velocity = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
         sigma = np.full(n, np.nan)
         if k < 2:
-            return Whereabouts(place, velocity, sigma)
+            return ReferenceStates(place, velocity, sigma)
         right = np.clip(np.searchsorted(self.time_utc_s, times, side="left"), 1, k - 1)
         left = right - 1
         span = self.time_utc_s[right] - self.time_utc_s[left]
@@ -105,4 +105,4 @@ class LoggedPath:
         slope = (1.0 - 2.0 * u) * ((1.0 - u) * bend + u * twist) + u * (1.0 - u) * (twist - bend)
         velocity[rows] = chord + slope / span
         sigma[rows] = (_UNTOLD_MPS2 * span**2 * u * (1.0 - u))[:, 0]
-        return Whereabouts(place, velocity, sigma)
+        return ReferenceStates(place, velocity, sigma)

@@ -1,0 +1,188 @@
+"""The schema of a scene file: which keys there are, and what each may hold."""
+
+from __future__ import annotations
+
+import tomllib
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from sightline.errors import InputError, no_scene_file
+
+Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
+
+
+Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
+
+
+Pixels = Annotated[int, Field(gt=0)]
+
+
+class Table(BaseModel):
+    """A table of keys and values in which no other key may stand."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class CameraTable(Table):
+    """`[camera]`."""
+
+    name: str = ""
+    latitude_deg: Latitude | None = None
+    longitude_deg: Longitude | None = None
+    image_size_px: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None
+    compensate_rotation: bool = Field(
+        default=True, validation_alias=AliasChoices("compensate_rotation", "watched")
+    )
+
+    @model_validator(mode="after")
+    def _whole_place(self) -> Self:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError("give both latitude_deg and longitude_deg, or neither")
+        return self
+
+
+class RecordingTable(Table):
+    """One of `[[recordings]]`."""
+
+    name: Annotated[str, Field(min_length=1)]
+    video: str | None = None
+    frames: str | None = None
+    start_utc: datetime | None = None
+    clock: str | None = None
+    boxes: str | None = None
+    detections: str | None = None
+    fixes: str | None = None
+    mmsi: int | None = None
+    platform: str | None = None
+    horizon: str | None = None
+    water_level_m: float | None = None
+    water_levels: str | None = None
+
+    @field_validator("name")
+    @classmethod
+    def _of_a_file(cls, value: str) -> str:
+        if any(letter in "/\\" or not letter.isprintable() for letter in value):
+            raise ValueError(
+                f"{value!r} holds / or \\ or what cannot be printed, and files are named after it"
+            )
+        return value
+
+    @field_validator("start_utc", mode="before")
+    @classmethod
+    def _moment(cls, value: object) -> object:
+        if isinstance(value, str):
+            return datetime.fromisoformat(value)
+        return value
+
+    @model_validator(mode="after")
+    def _one_of_each(self) -> Self:
+        for one, other in (
+            ("video", "frames"),
+            ("start_utc", "clock"),
+            ("water_level_m", "water_levels"),
+        ):
+            if getattr(self, one) is not None and getattr(self, other) is not None:
+                raise ValueError(f"give {one} or {other}, not both")
+        if self.start_utc is not None and self.video is None:
+            raise ValueError(
+                "start_utc tells the times of a video's frames; without a video give a clock"
+            )
+        if self.mmsi is not None and self.fixes is None:
+            raise ValueError("mmsi chooses a vessel of the log that fixes names; give fixes")
+        if self.platform is not None and (self.water_level_m is not None or self.water_levels):
+            raise ValueError("a platform floats with the water; leave its level away")
+        if self.frames is None and self.video is None and not (self.boxes or self.detections):
+            raise ValueError("give a video, frames, boxes or detections; there is nothing to see")
+        return self
+
+
+class PointTable(Table):
+    """One of `[[control_points]]`."""
+
+    pixel_px: Annotated[list[float], Field(min_length=2, max_length=2)]
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+
+
+class SceneTable(Table):
+    """A whole scene file."""
+
+    camera: CameraTable = CameraTable()
+    recordings: list[RecordingTable] = []
+    control_points: list[PointTable] | str = []
+
+    @model_validator(mode="after")
+    def _something_to_learn_from(self) -> Self:
+        if not self.recordings and not self.control_points:
+            raise ValueError("give [[recordings]] or [[control_points]]; the scene is empty")
+        return self
+
+
+_TABLES: dict[str, type[Table]] = {
+    "": SceneTable,
+    "camera": CameraTable,
+    "recordings": RecordingTable,
+    "control_points": PointTable,
+}
+
+
+def parse_scene_table(path: Path) -> SceneTable:
+    """Read the tables of a scene file.
+
+    Raises:
+        InputError: There is no such file, it is no TOML, or a key or a value cannot stand there.
+    """
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; expected a scene file, as {path / 'scene.toml'}")
+    try:
+        # Some editors begin a file with a byte order mark.
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError as error:
+        raise no_scene_file(path) from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text in UTF-8, so it is no scene file") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no TOML: {error}") from error
+    try:
+        return SceneTable.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error)}") from error
+
+
+def _first_problem(error: ValidationError) -> str:
+    """The first problem of a validation in one line: the key's path, and what mends it."""
+    # An unknown key is often why another is missing, so it goes first.
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    problem = problems[0]
+    # The names of the alternatives of a union are no keys.
+    steps = [step for step in problem["loc"] if step not in ("str", "list[PointTable]")]
+    where = ""
+    for step in steps:
+        where += f"[{step + 1}]" if isinstance(step, int) else f".{step}" if where else str(step)
+    if problem["type"] == "extra_forbidden":
+        table = str(steps[0]) if len(steps) > 1 else ""
+        known = ", ".join(_TABLES[table].model_fields)
+        return f"unknown key {where}; known are {known}"
+    if problem["type"] == "missing":
+        return f"{where} is missing"
+    if problem["type"] == "model_type":
+        return f"{where}: expected a table of keys and values; it is {problem['input']!r}"
+    message = problem["msg"].removeprefix("Value error, ")
+    message = message[0].lower() + message[1:]
+    given = problem["input"]
+    if isinstance(given, str | int | float | list) and problem["type"] != "value_error":
+        message += f"; it is {given!r}"
+    return f"{where}: {message}" if where else message
