@@ -27,7 +27,7 @@ OVERLAP = 10.0
 """So many windows tell about as much as one: they overlap."""
 LEARNED = (
     "turn_rate_radps",
-    "manner_s",
+    "mode_s",
     "straight_share",
     "straight_s",
     "turning_s",

@@ -310,13 +310,13 @@ def _vessel(
     )
 
 
-def _slow(rng: np.random.Generator, times: FloatArray, lasts_s: float) -> FloatArray:
+def _slow(rng: np.random.Generator, times: FloatArray, duration_s: float) -> FloatArray:
     """(N,) noise of unit variance whose errors decay with time (Ornstein-Uhlenbeck)."""
     out = np.empty(times.size)
     value = rng.normal()
     last = times[0] if times.size else 0.0
     for i, time in enumerate(times):
-        kept = np.exp(-(time - last) / lasts_s)
+        kept = np.exp(-(time - last) / duration_s)
         value = kept * value + np.sqrt(1.0 - kept**2) * rng.normal()
         out[i], last = value, time
     return out

@@ -137,7 +137,7 @@ def simulated(
     mode = rng.choice(motion.shares.size, p=motion.shares)
     out = [state]
     for _ in range(int(seconds / step_s)):
-        if rng.random() > np.exp(-step_s / motion.manner_s):
+        if rng.random() > np.exp(-step_s / motion.mode_s):
             mode = rng.choice(motion.shares.size, p=motion.shares)
         state = moves[mode] @ state + roots[mode] @ rng.standard_normal(4)
         out.append(state)
@@ -208,7 +208,7 @@ def test_turns_are_recognised_and_carried_on() -> None:
     rate, speed = 0.15, 4.0
     place = np.stack([np.sin(rate * times), 1.0 - np.cos(rate * times)], axis=1) * speed / rate
     seen = place + np.array([0.0, 100.0])
-    state = follow(times, positions(seen, 0.5), MotionModel(manner_s=60.0))[-1:]
+    state = follow(times, positions(seen, 0.5), MotionModel(mode_s=60.0))[-1:]
     # Counter-clockwise, as east turns to north.
     assert state.weight[0].argmax() == 1
     then = np.array([np.sin(rate * 28.0), 1.0 - np.cos(rate * 28.0)]) * speed / rate
@@ -305,7 +305,7 @@ def _bad_track() -> Track:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: MotionModel(manner_s=0.0), "manner_s is 0"),
+        (lambda: MotionModel(mode_s=0.0), "mode_s is 0"),
         (lambda: MotionModel(speed_mps=float("nan")), "speed_mps is nan"),
         (lambda: MotionModel(straight_share=1.5), "at most 1"),
         (lambda: MotionState.of_track(_bad_track()), "nothing can be forecast"),
@@ -366,8 +366,8 @@ def test_ellipses_from_a_vessel_hold_for_targets_that_go_straight() -> None:
 
 def test_boxes_whose_errors_last_do_not_make_a_target_too_sure() -> None:
     """Ten boxes a second, whose errors are alike for 0.6 s: by simulated targets."""
-    times, lasts_s, sigma_m = np.arange(0.0, 6.0, 0.1), 0.6, 1.5
-    kept = np.exp(-0.1 / lasts_s)
+    times, duration_s, sigma_m = np.arange(0.0, 6.0, 0.1), 0.6, 1.5
+    kept = np.exp(-0.1 / duration_s)
     inside = []
     for seed in range(40):
         rng = np.random.default_rng(seed)

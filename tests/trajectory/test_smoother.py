@@ -297,9 +297,9 @@ def test_it_learns_whether_noise_lasts() -> None:
     boat = scene(3, correlation_time_s=1.0)
     correlated = RtsSmoother().smooth(boat.time_utc_s, boat.positions).noise
     assert white.white_along == pytest.approx(1.0, abs=0.15)
-    assert white.lasting_along < 0.2
+    assert white.correlated_along < 0.2
     assert correlated.white_along < 0.3
-    assert correlated.lasting_along == pytest.approx(1.0, abs=0.3)
+    assert correlated.correlated_along == pytest.approx(1.0, abs=0.3)
 
 
 def test_it_is_still_on_straights_and_quick_in_turns() -> None:

@@ -94,7 +94,7 @@ class CameraMotionDetector:
             pictures, and nothing is watched where there is none.
         focal_px: Focal length.
         least_deg: Rotations that are smaller are not reported.
-        lasts_s: A rotation counts once it has lasted so long: a gust is none.
+        duration_s: A rotation counts once it has lasted so long: a gust is none.
         reference_frames: Number of frames of a reference.
         like: A view whose strips are to be looked at, instead of ``horizon_px``.
     """
@@ -105,11 +105,11 @@ class CameraMotionDetector:
         focal_px: float,
         *,
         least_deg: float = 0.2,
-        lasts_s: float = 3.0,
+        duration_s: float = 3.0,
         reference_frames: int = 15,
         like: ReferenceView | None = None,
     ) -> None:
-        if not (focal_px > 0.0 and least_deg > 0.0 and lasts_s >= 0.0 and reference_frames >= 1):
+        if not (focal_px > 0.0 and least_deg > 0.0 and duration_s >= 0.0 and reference_frames >= 1):
             raise InputError(
                 "camera motion: focal length, least turn and reference must be positive"
             )
@@ -125,7 +125,7 @@ class CameraMotionDetector:
         self._like = like
         self._focal_px = focal_px
         self._least_px = focal_px * np.radians(least_deg)
-        self._lasts_s, self._count = lasts_s, reference_frames
+        self._lasts_s, self._count = duration_s, reference_frames
         self.reset()
 
     @staticmethod

@@ -53,7 +53,7 @@ class MotionModel:
         turn_rate_radps: Of the two modes in which a target turns, radians a second.
         hard_turn_rate_radps: Of the two in which it turns hard, as small boats do.
         hard_share: Share of the time of turning in which it turns hard.
-        manner_s: Mean time in one mode.
+        mode_s: Mean time in one mode.
         straight_share: Share of the time in which targets go straight.
         straight_s: Time constant with which the velocity reverts to rest while it goes straight.
         turning_s: The same while it turns.
@@ -71,7 +71,7 @@ class MotionModel:
     turn_rate_radps: float = 0.17
     hard_turn_rate_radps: float = 0.3
     hard_share: float = 0.2
-    manner_s: float = 5.0
+    mode_s: float = 5.0
     straight_share: float = 0.55
     straight_s: float = 600.0
     turning_s: float = 60.0
@@ -279,7 +279,7 @@ class MotionState:
         h, motion = lag_s / steps, self.motion
         move, noise = transition(h, motion.turn_rates_radps, motion.revertings_s)
         noise = motion.accelerations_m2ps3[:, None, None] * noise
-        stay = np.exp(-h / motion.manner_s)
+        stay = np.exp(-h / motion.mode_s)
         change = stay * np.eye(motion.shares.size) + (1.0 - stay) * motion.shares
         weight, mean, covariance = self.weight, self.mean, self.covariance
         for _ in range(steps if lag_s > 0.0 else 0):

@@ -39,10 +39,10 @@ from sightline.trajectory.base import Measurements, measurements, point_kinds
 from sightline.trajectory.range_noise import Linearised, NoiseAtRange, RobustStart
 from sightline.types import BoolArray, EastNorthPositions, FloatArray, Track
 
-_AGILITY_WIDTH_S = 3.0
-_AGILITY_GRID_S = 0.5
-_AGILITY_DRAWS = 0.5
-_AGILITY_LIMITS = (0.02, 20.0)
+_PROCESS_NOISE_SCALE_WIDTH_S = 3.0
+_PROCESS_NOISE_SCALE_GRID_S = 0.5
+_PROCESS_NOISE_SCALE_DRAWS = 0.5
+_PROCESS_NOISE_SCALE_LIMITS = (0.02, 20.0)
 _MOST_ROUNDS = 5
 _SETTLED = 0.2
 """The track is done when it moves by less than this share of its standard deviation."""
@@ -64,16 +64,16 @@ class NoiseModel:
         correlation_time_s: Time constant of the correlated noise, seconds.
         white_along: Share that is independent from box to box.
         white_across: The same, across the line of sight.
-        lasting_along: Share that is correlated.
-        lasting_across: The same, across.
+        correlated_along: Share that is correlated.
+        correlated_across: The same, across.
     """
 
     acceleration_m2ps3: float
     correlation_time_s: float
     white_along: float
     white_across: float
-    lasting_along: float
-    lasting_across: float
+    correlated_along: float
+    correlated_across: float
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -274,8 +274,8 @@ class RtsSmoother:
         spells = 1.0 + float(nodes.time_s[-1] - nodes.time_s[0]) / noise.correlation_time_s
         shares = []
         for white, correlated in (
-            (noise.white_along, noise.lasting_along),
-            (noise.white_across, noise.lasting_across),
+            (noise.white_along, noise.correlated_along),
+            (noise.white_across, noise.correlated_across),
         ):
             seen = white**2 + correlated**2
             # Standard deviation of the logarithm of the scatter, as for so many independent draws.
@@ -294,7 +294,7 @@ def _parameters(noise: NoiseModel, speed_mps: float) -> chain.Parameters:
         q_m2ps3=noise.acceleration_m2ps3,
         correlation_time_s=noise.correlation_time_s,
         white=(noise.white_along, noise.white_across),
-        correlated=(noise.lasting_along, noise.lasting_across),
+        correlated=(noise.correlated_along, noise.correlated_across),
         speed_mps=speed_mps,
     )
 
@@ -328,8 +328,8 @@ def _gate(
         fitted[:, ~used] = [apart[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))]
     share = np.sqrt(
         [
-            noise.white_along**2 + noise.lasting_along**2,
-            noise.white_across**2 + noise.lasting_across**2,
+            noise.white_along**2 + noise.correlated_along**2,
+            noise.white_across**2 + noise.correlated_across**2,
         ]
     )
     distance2 = linear.squared_distance(position_m, fitted, share, used)
@@ -358,16 +358,16 @@ def _process_noise_scale(
         return factors
     energy, draws = posterior.acceleration_energy()
     middle = 0.5 * (posterior.time_s[1:] + posterior.time_s[:-1])
-    cell = (middle / _AGILITY_GRID_S).astype(np.int64)
-    width = _AGILITY_WIDTH_S / _AGILITY_GRID_S
+    cell = (middle / _PROCESS_NOISE_SCALE_GRID_S).astype(np.int64)
+    width = _PROCESS_NOISE_SCALE_WIDTH_S / _PROCESS_NOISE_SCALE_GRID_S
     near = [
         gaussian_filter1d(np.bincount(cell, values), width, mode="constant")
         * (np.sqrt(2.0 * np.pi) * width)
         for values in (energy / noise.acceleration_m2ps3, draws)
     ]
-    local = np.log((near[0] + _AGILITY_DRAWS) / (near[1] + _AGILITY_DRAWS))
-    local = np.clip(local, *np.log(_AGILITY_LIMITS))
-    grid_s = (np.arange(local.size) + 0.5) * _AGILITY_GRID_S
+    local = np.log((near[0] + _PROCESS_NOISE_SCALE_DRAWS) / (near[1] + _PROCESS_NOISE_SCALE_DRAWS))
+    local = np.clip(local, *np.log(_PROCESS_NOISE_SCALE_LIMITS))
+    grid_s = (np.arange(local.size) + 0.5) * _PROCESS_NOISE_SCALE_GRID_S
     factors[1:-1] = np.exp(np.interp(0.5 * (time_s[1:] + time_s[:-1]), grid_s, local))
     return factors
 
