@@ -72,6 +72,10 @@ def test_average_precision_asks_for_more_overlap_step_by_step() -> None:
     assert report.map_50_95 == pytest.approx(0.4)
     assert report.mean_iou == pytest.approx(2 / 3)
     assert report.mean_giou == pytest.approx(2 / 3)
+    # By 13 px, 27 / 53 = 0.509: the first step alone.
+    just = score_detections([frame([A], [(shifted(A, 13.0), 0.9)])])
+    assert just.map_50 == pytest.approx(1.0)
+    assert just.map_50_95 == pytest.approx(0.1)
     far = score_detections([frame([A], [(shifted(A, 20.0), 0.9)])], least_iou=0.3)
     assert (far.map_50, far.recall) == (0.0, 1.0)
 
