@@ -65,6 +65,17 @@ def test_a_false_box_before_the_right_one_halves_the_precision() -> None:
     assert (one.recall_at_allowed, one.threshold_at_allowed) == (1.0, 0.5)
 
 
+@pytest.mark.parametrize(("least_iou", "counts"), [(0.5, True), (0.501, False)])
+def test_a_box_of_just_that_overlap_is_found_or_is_of_another_boat(
+    least_iou: float, counts: bool
+) -> None:
+    half = [A[0], A[1], 0.5 * (A[0] + A[2]), A[3]]
+    found = score_detections([frame([A], [(half, 0.9)])], least_iou=least_iou)
+    assert (found.recall, found.false_per_frame) == ((1.0, 0.0) if counts else (0.0, 1.0))
+    beside = score_detections([frame([A], [(half, 0.9)], [True])], least_iou=least_iou)
+    assert beside.false_per_frame == (0.0 if counts else 1.0)
+
+
 def test_average_precision_asks_for_more_overlap_step_by_step() -> None:
     """A box of 40 px moved by 8 px overlaps by 32 / 48 = 0.667: four of ten steps reach that."""
     report = score_detections([frame([A], [(shifted(A, 8.0), 0.9)])])
@@ -72,6 +83,10 @@ def test_average_precision_asks_for_more_overlap_step_by_step() -> None:
     assert report.map_50_95 == pytest.approx(0.4)
     assert report.mean_iou == pytest.approx(2 / 3)
     assert report.mean_giou == pytest.approx(2 / 3)
+    # By 13 px, 27 / 53 = 0.509: the first step alone.
+    just = score_detections([frame([A], [(shifted(A, 13.0), 0.9)])])
+    assert just.map_50 == pytest.approx(1.0)
+    assert just.map_50_95 == pytest.approx(0.1)
     far = score_detections([frame([A], [(shifted(A, 20.0), 0.9)])], least_iou=0.3)
     assert (far.map_50, far.recall) == (0.0, 1.0)
 

@@ -37,9 +37,9 @@ def test_errors_are_those_of_straight_lines() -> None:
     seen_s = np.arange(1.0, 40.0, 4.0)
     # 0.5 m/s too fast, and 2 m too far north.
     known = states(seen_s, straight(seen_s) + np.array([0.0, 2.0]), np.array([3.5, 0.0]))
-    got = forecast_errors([(known, log_of(fix_s, straight(fix_s)))], (10.0, 60.0))
-    assert list(got) == ["10", "60"]
-    for key, ahead in (("10", 10.0), ("60", 60.0)):
+    got = forecast_errors([(known, log_of(fix_s, straight(fix_s)))], (0.5, 10.0, 60.0))
+    assert list(got) == ["0.5", "10", "60"]
+    for key, ahead in (("0.5", 0.5), ("10", 10.0), ("60", 60.0)):
         error = np.hypot(0.5 * ahead, 2.0)
         one = got[key]
         # The first state knows no velocity, so it is not asked.
@@ -122,5 +122,6 @@ def test_a_report_tells_forecasts_where_there_are_any(tmp_path: Path) -> None:
 
 def test_a_forecast_over_no_time_is_refused() -> None:
     known = states(np.zeros(1), np.ones((1, 2)), np.zeros(2))
-    with pytest.raises(InputError, match="cannot be scored"):
-        pair_forecasts(known, log_of(np.zeros(1), np.ones((1, 2))), 0.0)
+    for horizon_s in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(InputError, match="cannot be scored"):
+            pair_forecasts(known, log_of(np.zeros(1), np.ones((1, 2))), horizon_s)

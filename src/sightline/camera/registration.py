@@ -141,10 +141,29 @@ def measure_strips(
         left, right = max(0, -x), min(width, width - x)
         here = reference[i, top : top + rows, left:right].astype(np.float32)
         there = strips[i, top + y : top + y + rows, left + x : right + x].astype(np.float32)
-        window = cv2.createHanningWindow((right - left, rows), cv2.CV_32F)
-        out[i, :2] = cv2.phaseCorrelate(here, there, window)[0]
+        out[i, :2] = _phase_shift(here, there)
         out[i, 2] = _rows_moved(here, there)
     return out + np.stack([coarse[:, 0], coarse[:, 1], coarse[:, 1]], axis=1)
+
+
+def _phase_shift(one: NDArray[np.float32], other: NDArray[np.float32]) -> tuple[float, float]:
+    """By how much further right and down a picture shows what another of its size shows."""
+    # Where OpenCV pads to an odd number of pixels it is off by half a pixel.
+    rows, columns = map(_padded_evenly, one.shape)
+    window = cv2.createHanningWindow((columns, rows), cv2.CV_32F)
+    x, y = cv2.phaseCorrelate(
+        np.ascontiguousarray(one[:rows, :columns]),
+        np.ascontiguousarray(other[:rows, :columns]),
+        window,
+    )[0]
+    return x, y
+
+
+def _padded_evenly(size: int) -> int:
+    """The largest size, at most this, that a Fourier transform pads to an even one."""
+    while size > 1 and cv2.getOptimalDFTSize(size) % 2:
+        size -= 1
+    return size
 
 
 def _rows_moved(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
@@ -172,8 +191,7 @@ def coarse_shift(reference: NDArray[np.uint8], strips: NDArray[np.uint8]) -> tup
         wide = np.concatenate(list(part), axis=1)
         size = (wide.shape[1] // _SHRINK, wide.shape[0] // _SHRINK)
         small.append(cv2.resize(wide, size, interpolation=cv2.INTER_AREA).astype(np.float32))
-    window = cv2.createHanningWindow(small[0].shape[::-1], cv2.CV_32F)
-    x, y = cv2.phaseCorrelate(small[0], small[1], window)[0]
+    x, y = _phase_shift(*small)
     return round(_SHRINK * x), round(_SHRINK * y)
 
 
