@@ -34,7 +34,10 @@ class OnBoard:
     def check_water(self, given: bool) -> None:
         assert not given
 
-    def place(self, boxes: ObservedBoxes) -> LocatedBoxes:
+    def compensated(self, boxes: ObservedBoxes) -> ObservedBoxes:
+        return boxes
+
+    def place_compensated(self, boxes: ObservedBoxes) -> LocatedBoxes:
         xyxy, n = boxes.xyxy_px, len(boxes)
         positions = BodyPositions(
             starboard_m=0.1 * (0.5 * (xyxy[:, 0] + xyxy[:, 2]) - 0.5 * SIZE_PX[0]),

@@ -77,7 +77,7 @@ class NoiseModel:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            allowed = value >= 0.0 if name.startswith("lasting_a") else value > 0.0
+            allowed = value >= 0.0 if name.startswith("correlated_a") else value > 0.0
             if not (allowed and np.isfinite(value)):
                 raise InputError(f"noise model: {name} is {value:g}; expected a positive number")
 
@@ -402,7 +402,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
     values: list[float] = []
 
     def objective(scaled: FloatArray) -> tuple[float, FloatArray]:
-        logs, lasting_part = _shares(scaled * scale)
+        logs, correlated_part = _shares(scaled * scale)
         noise = NoiseModel(*np.exp(logs).tolist())
         value, gradient = chain.minus_two_log_likelihood(nodes, _parameters(noise, speed_mps))
         belief = (logs - median) / _PRIOR_SD
@@ -411,7 +411,7 @@ def _learned(nodes: chain.Nodes, start: NoiseModel, speed_mps: float) -> NoiseMo
         gradient += 2.0 * belief / _PRIOR_SD
         white, correlated = gradient[2:4].copy(), gradient[4:].copy()
         gradient[2:4] = white + correlated + 2.0 * total / _TOTAL_PRIOR_SD
-        gradient[4:] = correlated - lasting_part * (white + correlated)
+        gradient[4:] = correlated - correlated_part * (white + correlated)
         values.append(0.5 * value)
         # What is gained since the start is the measure of when to stop.
         return values[-1] - values[0], 0.5 * gradient * scale
@@ -438,7 +438,7 @@ def _shares(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
     Also the share (2,) of the correlated noise in the variance, along and across.
     """
     out = logs.copy()
-    lasting_part = 1.0 / (1.0 + np.exp(-2.0 * logs[4:]))
-    out[2:4] += 0.5 * np.log1p(-lasting_part)
+    correlated_part = 1.0 / (1.0 + np.exp(-2.0 * logs[4:]))
+    out[2:4] += 0.5 * np.log1p(-correlated_part)
     out[4:] += out[2:4]
-    return out, lasting_part
+    return out, correlated_part
