@@ -624,37 +624,37 @@ def _ellipses(covariance_m2: FloatArray, places: FloatArray, most: int) -> list[
 
 
 def _series(recording: str, track: Track, fixes: Fixes | None) -> dict[str, object]:
-    shape = ellipses(track.covariance_m2, _PROBABILITY)
     return {
         "recording": recording,
         "name": f"track {track.track_id}" + (f", {track.label}" if track.label else ""),
         "track": True,
-        "time": np.round(track.time_utc_s, 2).tolist(),
-        "east": np.round(track.east_m, 2).tolist(),
-        "north": np.round(track.north_m, 2).tolist(),
+        **_columns(track, _errors(track, fixes)),
         "speed": np.round(track.speed_mps, 2).tolist(),
         "course": np.round(track.course_deg, 0).tolist(),
-        "major": np.round(shape.semi_major_m, 2).tolist(),
-        "minor": np.round(shape.semi_minor_m, 2).tolist(),
-        "bearing": np.round(shape.bearing_deg, 1).tolist(),
         "kind": track.kind.tolist(),
-        "error": np.round(_errors(track, fixes), 2).tolist(),
     }
 
 
 def _box_series(recording: str, pairs: ScoredPairs) -> dict[str, object]:
-    shape = ellipses(pairs.covariance_m2, _PROBABILITY)
     return {
         "recording": recording,
         "name": "single box",
         "track": False,
-        "time": np.round(pairs.time_utc_s, 2).tolist(),
-        "east": np.round(pairs.east_m, 2).tolist(),
-        "north": np.round(pairs.north_m, 2).tolist(),
+        **_columns(pairs, pairs.error_m),
+    }
+
+
+def _columns(points: Track | ScoredPairs, error_m: FloatArray) -> dict[str, object]:
+    """What every series shows of its points."""
+    shape = ellipses(points.covariance_m2, _PROBABILITY)
+    return {
+        "time": np.round(points.time_utc_s, 2).tolist(),
+        "east": np.round(points.east_m, 2).tolist(),
+        "north": np.round(points.north_m, 2).tolist(),
         "major": np.round(shape.semi_major_m, 2).tolist(),
         "minor": np.round(shape.semi_minor_m, 2).tolist(),
         "bearing": np.round(shape.bearing_deg, 1).tolist(),
-        "error": np.round(pairs.error_m, 2).tolist(),
+        "error": np.round(error_m, 2).tolist(),
     }
 
 
