@@ -50,6 +50,19 @@ def test_a_turn_in_mid_recording_is_reported_within_seconds_and_measured(turn_de
     np.testing.assert_allclose(measured, turn_deg, atol=0.15)
 
 
+def test_the_first_static_interval_has_no_beginning_and_starts_anew_after_a_reset():
+    watch = CameraMotionDetector((180.0, 180.0), FOCAL_PX)
+    for seed in range(2):
+        for frame in frames(seed, duration_s=16.0, rate_hz=1.0):
+            watch.update(frame)
+        (only,) = watch.static_intervals
+        assert (only.before_utc_s, only.since_utc_s) == (-np.inf, -np.inf)
+        watch.reset()
+        assert watch.static_intervals == ()
+        # Without a reference, no time is known up to which nothing happened.
+        assert watch.settled_utc_s == -np.inf
+
+
 @pytest.mark.slow
 def test_no_alarm_in_undisturbed_recordings():
     assert sum(len(turns(seed, rate_hz=1.0)) for seed in range(20)) == 0

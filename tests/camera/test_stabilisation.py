@@ -11,7 +11,7 @@ import pytest
 import sightline
 from sightline.camera.horizon_line import find_waterline
 from sightline.camera.pinhole import Camera
-from sightline.camera.stabilisation import horizons_at, stabilise
+from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.camera.state import CameraHistory
 from sightline.cli import main
 from sightline.errors import InputError
@@ -82,6 +82,16 @@ def test_a_box_of_a_tilted_hull_is_where_it_would_be_on_a_level_one(pitch_deg, r
     # roll of the hull brings along where the camera looks down, so sideways it is a little off.
     np.testing.assert_allclose(foot[:, 1], true[:, 1], atol=0.5)
     np.testing.assert_allclose(foot[:, 0], true[:, 0], atol=2.5)
+
+
+def test_a_nominal_camera_is_level() -> None:
+    camera = nominal_camera((1280, 720))
+    middle_row = camera.rays(np.array([[0.0, 360.0], [1280.0, 360.0]]))
+    east, north, up = (middle_row @ camera.rotation).T
+    np.testing.assert_allclose(up, 0.0, atol=1e-12)
+    assert east[0] == pytest.approx(-east[1])
+    assert east[1] > 0.0
+    assert (north > 0.0).all()
 
 
 def test_boxes_without_a_horizon_near_their_time_are_left_out() -> None:
