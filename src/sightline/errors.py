@@ -30,6 +30,17 @@ x1 < x2 and y1 < y2 (upper left corner, lower right corner)
     """
 
 
+class BrokenOffError(InputError):
+    """A video or a stream that cannot be read further; what came before it was handed on.
+
+    Who reads it keeps what there is, says this line, and ends with status 2.
+
+    Examples:
+        >>> issubclass(sightline.errors.BrokenOffError, sightline.InputError)
+        True
+    """
+
+
 class FitError(SightlineError):
     """Data from which a model cannot be learned: too few pairs, all in one place, no agreement.
 
