@@ -185,6 +185,29 @@ def whole_moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
     yield from waiting
 
 
+def groups_of_moments(batches: Iterable[Boxes], count: int) -> Iterator[Boxes]:
+    """Regroup batches of boxes into so many moments each, in the order of time.
+
+    Which boxes come together does not depend on the batches that they came in, so that what is
+    computed of a group does not either, to the last digit.
+    """
+    waiting: list[Boxes] = []
+    moments_waiting = 0
+    for boxes in whole_moments(batches):
+        begins = np.flatnonzero(np.diff(boxes.time_utc_s, prepend=-np.inf) > 0.0)
+        start = 0
+        for full in range(count - moments_waiting, begins.size + 1, count):
+            stop = int(begins[full]) if full < begins.size else len(boxes)
+            yield Boxes.concatenate([*waiting, boxes[start:stop]])
+            waiting, start = [], stop
+            moments_waiting = -full
+        moments_waiting += begins.size
+        if start < len(boxes):
+            waiting.append(boxes[start:])
+    if waiting:
+        yield Boxes.concatenate(waiting)
+
+
 def moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
     """Regroup batches of boxes into single moments, in the order of time."""
     for boxes in whole_moments(batches):
