@@ -307,6 +307,57 @@ def test_what_the_pointer_shows_is_in_the_page() -> None:
     assert [one["name"] for one in series] == ["track 1, boat", "track 2, boat", "single box"]
 
 
+def test_only_the_logged_targets_track_has_an_error() -> None:
+    """How far another vessel's track is from the log says nothing of the track."""
+    page = Page(render_page(full_page()))
+    mine, other = (one for one in page.map_data["series"] if one["track"])
+    np.testing.assert_allclose(mine["error"], 3.0, atol=0.01)
+    assert all(value is None for value in other["error"])
+    cells = table_cells(render_page(full_page()), "Tracks")
+    assert [row[-1] for row in cells[1:]] == ["3.00", ""]
+
+
+def test_tracks_without_a_log_have_no_column_of_errors() -> None:
+    unlogged = full_page(fixes={}, reports={}, positions={})
+    header, *_ = table_cells(render_page(unlogged), "Tracks")
+    assert "error, m" not in header
+    assert "error, m" in table_cells(render_page(full_page()), "Tracks")[0]
+    assert "distance from the log" not in Page(render_page(unlogged)).words
+
+
+def table_cells(text: str, label: str) -> list[list[str]]:
+    """The cells of the table in the region of a label, row by row."""
+    region = text[text.index(f'aria-label="{label}"') :]
+    rows = re.findall(r"<tr>(.*?)</tr>", region[: region.index("</table>")])
+    return [re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row) for row in rows]
+
+
+def test_what_the_model_learned_from_is_never_the_headline() -> None:
+    names = {"single boxes, learned from": "single boxes", "left out": "smoothed tracks"}
+    reports = {new: full_page().reports[old] for new, old in names.items()}
+    learned = frozenset({"single boxes, learned from"})
+    page = Page(render_page(full_page(reports=reports, learned_from=learned)))
+    assert "left out, against the log:" in page.words
+    # The truth of the smoothed track is 3 m; that of the boxes 4 m.
+    (median,) = re.findall(r"median error ?([0-9.]+) m", page.words)
+    assert float(median) == pytest.approx(3.0, abs=0.01)
+    alone = {name: reports[name] for name in learned}
+    page = Page(render_page(full_page(reports=alone, learned_from=learned)))
+    assert "median error" not in page.words
+    assert "no figure of this page says how well it does elsewhere" in page.words
+
+
+def test_the_map_says_where_on_the_earth_it_is() -> None:
+    page = Page(render_page(full_page(positions={})))
+    view = [float(v) for v in page.all("svg")[0]["viewbox"].split()]
+    # A sphere will do for four digits at a few hundred metres.
+    south = PLANE.latitude_deg - np.degrees((view[1] + view[3]) / 6_367_000.0)
+    (said,) = re.findall(r"First view: ([0-9.]+)° N", page.words)
+    assert float(said) == pytest.approx(south, abs=2e-4)
+    (whole,) = [a["d"] for a in page.all("path") if a.get("class") == "log whole"]
+    assert len(coordinates(whole)) == len(log())
+
+
 def test_long_tracks_are_thinned_to_a_page_that_opens() -> None:
     tracks = {"07": [track(k, n=20_000) for k in range(5)]}
     page = Page(render_page(full_page(tracks=tracks)))
@@ -389,12 +440,12 @@ def errors(along_m, *, covariance=4.0, asked=None, without=0) -> ScoredPairs:
         (errors(np.tile([-3.0, 3.0], 20)), "Errors are 3.00 m along the line of sight and 0.00"),
         (
             errors(np.full(30, 9.0)),
-            "hold 0.0 % of the log's positions: the error bars are too small",
+            "hold 0.0 % of the log's positions: they are too small",
         ),
-        (errors(np.full(30, 1.0)), "100 % of the log's positions: the error bars are larger"),
+        (errors(np.full(30, 1.0)), "100 % of the log's positions: they are larger"),
         (
             errors(np.r_[np.full(95, 1.0), np.full(5, 9.0)]),
-            "hold 95 % of the log's positions: the error bars can be believed",
+            "hold 95 % of the log's positions: they can be believed",
         ),
         (errors(np.full(5, 1.0)), "5 positions are too few to judge"),
         (errors(np.full(30, 1.0), covariance=np.nan), "state no uncertainty"),

@@ -84,6 +84,7 @@ def run_page(result: RunResult) -> ReportPage:
         warnings=warnings,
         figures=_figures(positions, reports),
         made_utc_s=time.time(),
+        learned_from=frozenset(name for name in reports if name.endswith(LEARNED_FROM)),
     )
 
 
