@@ -13,8 +13,8 @@ import pytest
 
 from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
-from sightline.evaluation.metrics import ScoredPairs, pair_positions
-from sightline.evaluation.report import TracksUsed, evaluate_tracks, summarise
+from sightline.evaluation.metrics import Coverage, ScoredPairs, pair_positions
+from sightline.evaluation.report import Report, TracksUsed, evaluate_tracks, summarise
 from sightline.geodesy import LocalPlane
 from sightline.reporting.page import (
     ModelRow,
@@ -327,7 +327,7 @@ def test_tracks_without_a_log_have_no_column_of_errors() -> None:
 
 def table_cells(text: str, label: str) -> list[list[str]]:
     """The cells of the table in the region of a label, row by row."""
-    region = text[text.index(f'aria-label="{label}"') :]
+    region = text[text.index(f'aria-label="{label}') :]
     rows = re.findall(r"<tr>(.*?)</tr>", region[: region.index("</table>")])
     return [re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row) for row in rows]
 
@@ -459,6 +459,36 @@ def errors(along_m, *, covariance=4.0, asked=None, without=0) -> ScoredPairs:
 def test_the_report_speaks_plainly(pairs: ScoredPairs, sentence: str) -> None:
     said = plain_statements(summarise(pairs))
     assert any(sentence in one for one in said), said
+
+
+@pytest.mark.parametrize(
+    ("p95", "with_log", "sentence"),
+    [
+        (0.70, 0.85, "hold 85 % of its positions: they are too small. Do not rely on them."),
+        (0.78, 0.95, "hold 95 % of its positions: they can be believed."),
+        (0.78, 1.0, "and 78 % if it had none: they are not too small, and the log is too inexact"),
+        (0.99, 1.0, "hold 100 % of its positions: they are larger than they need to be."),
+    ],
+)
+def test_the_ellipses_are_judged_once_with_the_logs_error_counted(
+    p95: float, with_log: float, sentence: str
+) -> None:
+    report = summarise(errors(np.full(30, 1.0)))
+    coverage = replace(report.coverage, reference_sigma_m=1.7, p95=p95, p95_with_log=with_log)
+    (said,) = [
+        one for one in plain_statements(replace(report, coverage=coverage)) if "ellipses" in one
+    ]
+    assert said.startswith("With the log's own error of 1.70 m counted,")
+    assert sentence in said
+    # The tile and the table say the same share as the sentence.
+    page = Page(render_page(full_page(reports={"a": replace(report, coverage=coverage)})))
+    assert f"{100 * with_log:.0f} %" in page.words.split("in the 95 % ellipse")[1][:20]
+    rows = table_cells(render_page(full_page(reports={"a": report_of(coverage)})), "Errors of a")
+    assert rows[1][-1] == f"{100 * with_log:.0f} %"
+
+
+def report_of(coverage: Coverage) -> Report:
+    return replace(summarise(errors(np.full(30, 1.0))), coverage=coverage)
 
 
 @pytest.mark.parametrize(

@@ -255,19 +255,25 @@ def _about_coverage(report: Report) -> str:
     if n == 0:
         return "The positions state no uncertainty, so there is none to check."
     held = coverage.p95_with_log
-    share = f"The stated 95 % ellipses hold {percent(coverage.p95)} of the log's positions"
     if coverage.reference_sigma_m > 0.0:
-        share += (
-            f", {percent(held)} with the log's own error of "
-            f"{number(coverage.reference_sigma_m)} m in them"
+        share = (
+            f"With the log's own error of {number(coverage.reference_sigma_m)} m counted, the "
+            f"stated 95 % ellipses hold {percent(held)} of its positions"
         )
+    else:
+        share = f"The stated 95 % ellipses hold {percent(held)} of the log's positions"
     if n < _FEWEST_TO_JUDGE:
         return f"{share}; {n} positions are too few to judge them by."
     if held < 0.90:
         return f"{share}: they are too small. Do not rely on them."
-    if held > 0.98:
+    if held <= 0.98:
+        return f"{share}: they can be believed."
+    if coverage.p95 > 0.98:
         return f"{share}: they are larger than they need to be."
-    return f"{share}: they can be believed."
+    return (
+        f"{share}, and {percent(coverage.p95)} if it had none: they are not too small, and the log "
+        "is too inexact to say more."
+    )
 
 
 def _about_matched(matched: Matched) -> str:
