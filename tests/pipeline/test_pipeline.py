@@ -18,7 +18,13 @@ from sightline.geodesy import LocalPlane
 from sightline.pipeline import sources
 from sightline.pipeline.evaluate import leave_one_out, place_boxes
 from sightline.pipeline.track import TrackSettings, _OpenTracks
-from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
+from sightline.simulation import (
+    BoxNoise,
+    Harbour,
+    HarbourSettings,
+    SimulatedCamera,
+    SimulationSettings,
+)
 from sightline.simulation.simulate import Simulation, simulate
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, LocatedBoxes, Positions, Track
 from sightline.video import write_video
@@ -139,13 +145,15 @@ def many_boxes(small_camera: SimulatedCamera) -> Boxes:
     """What a detector sees of eight vessels near and far, with the vessels' ids."""
     harbour = Harbour.random(
         3,
-        duration_s=30.0,
-        motorboats=4,
-        sailboats=2,
-        ferries=1,
-        anchored=0,
-        gulls=0,
-        camera=small_camera,
+        HarbourSettings(
+            duration_s=30.0,
+            motorboats=4,
+            sailboats=2,
+            ferries=1,
+            anchored=0,
+            gulls=0,
+            camera=small_camera,
+        ),
     )
     noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="detector")
     return harbour.boxes(harbour.times(10.0), noise=noise, of="all", seed=1)
@@ -404,7 +412,8 @@ def test_settings_that_make_no_sense(settings: dict[str, float], message: str) -
 @pytest.fixture(scope="module")
 def harbour(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
     return simulate(
-        tmp_path_factory.mktemp("harbour"), video=False, recordings=3, duration_s=20.0, seed=1
+        tmp_path_factory.mktemp("harbour"),
+        SimulationSettings(video=False, recordings=3, duration_s=20.0, seed=1),
     )
 
 
@@ -506,7 +515,9 @@ def test_smoothing_takes_error_away(tmp_path: Path) -> None:
     """Against the world's own truth, not its log, over harbours with different cameras."""
     single, smoothed = [], []
     for seed in (1, 2, 5):
-        made = simulate(tmp_path / str(seed), video=False, duration_s=20.0, seed=seed)
+        made = simulate(
+            tmp_path / str(seed), SimulationSettings(video=False, duration_s=20.0, seed=seed)
+        )
         model = fit(Scene.load(made.scene), "camera")
         for placed in place_boxes(Scene.load(made.scene), lambda _, model=model: model):
             positions = model.locate(placed.boxes.xyxy_px, placed.boxes.source)

@@ -32,19 +32,22 @@ def simulate(
     json: JsonOption = None,
 ) -> None:
     """Write a synthetic harbour: videos, clocks, boxes, logs, the truth, and a scene."""
+    from sightline.simulation.simulate import SimulationSettings
     from sightline.simulation.simulate import simulate as simulate_harbour
 
     kind: ClockKind = clock  # type: ignore[assignment]
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
             folder,
-            seed=seed,
-            recordings=recordings,
-            duration_s=duration_s,
-            rate_hz=rate_hz,
-            clock=kind,
-            video=video,
-            moving=moving,
+            SimulationSettings(
+                seed=seed,
+                recordings=recordings,
+                duration_s=duration_s,
+                rate_hz=rate_hz,
+                clock=kind,
+                video=video,
+                moving=moving,
+            ),
             progress=lambda share: tell("rendering", share),
         )
         write_result(

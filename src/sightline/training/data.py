@@ -17,7 +17,7 @@ from sightline.formats import _files
 from sightline.formats.boxes_csv import usable
 from sightline.formats.labels import EMPTY_TABLE, Margin, empty_frames, parse_margins, tables_folder
 from sightline.scene import Recording, Scene
-from sightline.simulation import Harbour, Renderer
+from sightline.simulation import Harbour, HarbourSettings, Renderer
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Rows
 
 Image = NDArray[np.uint8]
@@ -509,13 +509,15 @@ def synthetic_pictures(
     while len(made) < count:
         harbour = Harbour.random(
             int(rng.integers(2**31)),
-            duration_s=240.0,
-            image_size_px=image_size_px,
-            motorboats=int(rng.integers(1, 6)),
-            sailboats=int(rng.integers(0, 7)),
-            ferries=int(rng.integers(0, 2)),
-            anchored=int(rng.integers(0, 4)),
-            gulls=int(rng.integers(0, 10)),
+            HarbourSettings(
+                duration_s=240.0,
+                image_size_px=image_size_px,
+                motorboats=int(rng.integers(1, 6)),
+                sailboats=int(rng.integers(0, 7)),
+                ferries=int(rng.integers(0, 2)),
+                anchored=int(rng.integers(0, 4)),
+                gulls=int(rng.integers(0, 10)),
+            ),
         )
         renderer = Renderer(harbour)
         times = harbour.start_utc_s + np.linspace(1.0, 239.0, _PICTURES_A_HARBOUR)
