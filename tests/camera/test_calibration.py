@@ -734,3 +734,22 @@ def test_a_camera_with_its_back_to_most_targets_is_no_solution(
     )
     assert (np.mean(forward > 0.0) > 0.9) == ahead
     assert problem._ahead(vector) == ahead
+
+
+def test_the_first_start_looks_where_the_camera_looked() -> None:
+    prior = CameraPrior()
+    camera = replace(
+        draw_camera(np.random.default_rng(2)),
+        focal_px=prior.focal_widths * SIZE[0],
+        pitch_deg=3.0,
+        roll_deg=0.0,
+        k1=0.0,
+        k2=0.0,
+        east_m=0.0,
+        north_m=0.0,
+    )
+    world = plant(2, camera=camera, hull_m=np.zeros(2), clock_s=np.zeros(5))
+    (start,) = problem_of(world, position_known=True).starts(1, np.random.default_rng(0))
+    # A level camera would be right to the arc second; a pitch of three degrees costs little.
+    off_deg = np.degrees(start[HEADING]) - camera.heading_deg
+    assert abs((off_deg + 180.0) % 360.0 - 180.0) < 1.0
