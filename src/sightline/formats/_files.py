@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -13,7 +14,10 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
+from sightline.tally import Tally
 from sightline.types import BoolArray, Fixes, FloatArray, StrArray, from_datetime64
+
+_logger = logging.getLogger(__name__)
 
 _SNIFFED_BYTES = 65536
 # What pandas takes for an empty cell of a column of numbers.
@@ -238,8 +242,9 @@ def fixes(
     *,
     name: str = "",
     row: str = "line",
+    tally: Tally | None = None,
 ) -> Fixes:
-    """Fixes of a file, whose errors name the file and the row.
+    """Fixes of a file that can be true; the others are left out and counted.
 
     Args:
         path: The file.
@@ -249,30 +254,83 @@ def fixes(
         longitude_deg: (N,) degrees east.
         name: Whose log it is.
         row: What ``rows`` counts.
+        tally: Takes what is left out; None: it is logged.
 
     Raises:
-        InputError: A place is not on the earth, or times decrease.
+        InputError: A place is not on the earth, times decrease, or no fix can be true.
     """
     when, latitude, longitude = (
         np.asarray(values, dtype=np.float64) for values in (time_utc_s, latitude_deg, longitude_deg)
     )
+    kept = usable(path, rows, when, latitude, longitude, row=row, tally=tally)
+    return Fixes(when[kept], latitude[kept], longitude[kept], name=name)
+
+
+def usable(
+    path: str | os.PathLike[str],
+    rows: ArrayLike,
+    time_utc_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    *,
+    row: str = "line",
+    tally: Tally | None = None,
+) -> BoolArray:
+    """Which fixes of a file can be true, (N,) bool, for readers with further columns; see `fixes`.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each fix stands.
+        time_utc_s: (N,) POSIX seconds.
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        row: What ``rows`` counts.
+        tally: Takes what is left out; None: it is logged.
+
+    Raises:
+        InputError: As `fixes`.
+    """
     numbers = np.asarray(rows)
-    bad = ~((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0))
-    if bad.any():
-        i = int(np.argmax(bad))
-        raise InputError(
-            f"{path}, {row} {numbers[i]}: latitude {latitude[i]:g}, longitude {longitude[i]:g} is "
-            "not on the earth; latitudes lie within ±90 degrees, longitudes within ±180 "
-            "(are the columns swapped?)"
-        )
-    backwards = np.diff(when) < 0.0
+    check_places(path, numbers, latitude_deg, longitude_deg, row=row)
+    backwards = np.diff(time_utc_s) < 0.0
     if backwards.any():
         i = int(np.argmax(backwards)) + 1
         raise InputError(
-            f"{path}, {row} {numbers[i]}: {rfc3339(when[i])} is earlier than the fix before it; "
-            "the times of a log must not decrease"
+            f"{path}, {row} {numbers[i]}: {rfc3339(time_utc_s[i])} is earlier than the fix before "
+            "it; the times of a log must not decrease"
         )
-    return Fixes(when, latitude, longitude, name=name)
+    own = tally if tally is not None else Tally(path)
+    kept = np.ones(time_utc_s.size, dtype=bool)
+    if tally is None:
+        own.warn(_logger)
+    return kept
+
+
+def check_places(
+    path: str | os.PathLike[str],
+    rows: ArrayLike,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    *,
+    row: str = "line",
+) -> None:
+    """Raise an error that names the first row whose place is not on the earth.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each place stands.
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        row: What ``rows`` counts.
+    """
+    bad = ~((np.abs(latitude_deg) <= 90.0) & (np.abs(longitude_deg) <= 180.0))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise InputError(
+            f"{path}, {row} {np.asarray(rows)[i]}: latitude {latitude_deg[i]:g}, longitude "
+            f"{longitude_deg[i]:g} is not on the earth; latitudes lie within ±90 degrees, "
+            "longitudes within ±180 (are the columns swapped?)"
+        )
 
 
 def xml_text(text: str) -> str:
