@@ -14,8 +14,11 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
+from sightline.formats._times import EXPECTED, NotUnderstoodError, read_numbers, read_times
+from sightline.plausibility import FASTEST_MPS, HARDEST_MPS2, implausible
+from sightline.synchronisation import repeated
 from sightline.tally import Tally
-from sightline.types import BoolArray, Fixes, FloatArray, StrArray, from_datetime64
+from sightline.types import BoolArray, Fixes, FloatArray, StrArray
 
 _logger = logging.getLogger(__name__)
 
@@ -26,8 +29,6 @@ _MISSING = (
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
 _NO_INT64 = 2.0**63
-# What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
-_FIRST_TIME, _LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -175,7 +176,7 @@ def refuse(
     """
     if bad.any():
         i = int(np.argmax(bad))
-        what = shortened(str(np.asarray(values)[i]))
+        what = shortened(_text(np.asarray(values)[i]))
         raise InputError(f"{path}, {row} {np.asarray(lines)[i]}: {what} {reason}")
 
 
@@ -186,7 +187,7 @@ def shortened(text: str, most: int = 80) -> str:
 
 def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
     """A column as float64; what is not a finite number is refused by its line."""
-    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
+    values = _floats(column)
     refuse(path, column.index, ~np.isfinite(values), column, f"is no number ({column.name})")
     return values
 
@@ -201,36 +202,63 @@ def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np
 
 
 def times(
-    path: str | os.PathLike[str], column: pd.Series, *, missing_allowed: bool = False
+    path: str | os.PathLike[str],
+    column: pd.Series,
+    *,
+    missing_allowed: bool = False,
+    dated: bool = False,
+    tally: Tally | None = None,
 ) -> FloatArray:
-    """A column of ISO 8601 times (UTC where they name no zone) or POSIX seconds as POSIX seconds.
+    """A column of times as POSIX seconds; see `sightline.formats._times` for what is understood.
 
     Args:
         path: The file, for the message.
         column: Text or numbers; its index is the line.
         missing_allowed: Whether a cell may be empty; it becomes NaN.
+        dated: Whether numbers of before 1973 are refused, as seconds of a day.
+        tally: Takes what was assumed of how they are written.
     """
-    empty = column.isna().to_numpy()
-    seconds = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    written = np.isnan(seconds) & ~empty
-    if written.any():
-        parsed = pd.to_datetime(column[written], utc=True, format="ISO8601", errors="coerce")
-        stamps = parsed.dt.tz_localize(None).to_numpy()
-        stamps = np.where(
-            (stamps > _FIRST_TIME) & (stamps < _LAST_TIME), stamps, np.datetime64("NaT")
-        )
-        seconds[written] = from_datetime64(stamps)
-    first_s, last_s = from_datetime64([_FIRST_TIME, _LAST_TIME])
-    known = (seconds > first_s) & (seconds < last_s)
-    bad = ~known & ~(empty & missing_allowed)
-    refuse(
-        path,
-        column.index,
-        bad,
-        column,
-        f"is no time ({column.name}); expected ISO 8601, as 2020-09-30T19:36:24Z, or POSIX seconds",
-    )
-    return seconds
+    empty = column.isna().to_numpy(dtype=bool)
+    if not missing_allowed:
+        refuse(path, column.index, empty, column, f"is no time ({column.name}); {EXPECTED}")
+    try:
+        if pd.api.types.is_numeric_dtype(column):
+            read = read_numbers(column.to_numpy(dtype=np.float64), dated=dated)
+        else:
+            texts = ["" if gone else _text(cell) for gone, cell in zip(empty, column, strict=True)]
+            read = read_times(texts, dated=dated)
+    except NotUnderstoodError as error:
+        line, cell = column.index[error.row], shortened(_text(column.iloc[error.row]))
+        why = error.why.replace("is no time", f"is no time ({column.name})", 1)
+        raise InputError(f"{path}, line {line}: {cell} {why}") from error
+    for sentence in read.assumed if tally is not None else ():
+        tally.note(sentence)
+    return read.time_utc_s
+
+
+def _text(cell: object) -> str:
+    """A cell as it stands; Python writes out no number of over 4,300 digits."""
+    try:
+        return str(cell)
+    except ValueError:
+        return "a number of thousands of digits"
+
+
+def _floats(column: pd.Series) -> FloatArray:
+    """A column as float64; NaN where there is no number, infinite where it is beyond float64."""
+    try:
+        return pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    except OverflowError:
+        return np.array([_float(cell) for cell in column])
+
+
+def _float(cell: Any) -> float:
+    try:
+        return float(cell)
+    except OverflowError:
+        return float("inf")
+    except (TypeError, ValueError):
+        return float("nan")
 
 
 def fixes(
@@ -292,18 +320,49 @@ def usable(
     """
     numbers = np.asarray(rows)
     check_places(path, numbers, latitude_deg, longitude_deg, row=row)
+    once = ~repeated(time_utc_s, latitude_deg, longitude_deg)
+    check_order(path, numbers[once], time_utc_s[once], row=row)
+    own = tally if tally is not None else Tally(path)
+    found = implausible(time_utc_s, latitude_deg, longitude_deg)
+    for reason, which in (
+        ("that stand twice", found.repeated),
+        ("at 0° north, 0° east, which receivers write that have no fix", found.nowhere),
+        (f"that nothing could have reached at {FASTEST_MPS:g} m/s", found.out_of_reach),
+        (f"off the track and back at over {HARDEST_MPS2:g} m/s²", found.astray),
+    ):
+        if which.any():
+            i = int(np.argmax(which))
+            text = f"{latitude_deg[i]:.6f}, {longitude_deg[i]:.6f} at {rfc3339(time_utc_s[i])}"
+            own.leave_out(reason, int(which.sum()), row=f"{row} {numbers[i]}", text=text)
+    kept = found.kept
+    if kept.size and 2 * kept.sum() <= once.sum():
+        raise InputError(
+            f"{path}: no more than {kept.sum()} of its {kept.size} fixes can be true; left out: "
+            f"{own.reasons()}"
+        )
+    if tally is None:
+        own.warn(_logger)
+    return kept
+
+
+def check_order(
+    path: str | os.PathLike[str], rows: ArrayLike, time_utc_s: FloatArray, *, row: str = "line"
+) -> None:
+    """Raise an error that names the first row whose time is earlier than that of the row before.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each time stands.
+        time_utc_s: (N,) POSIX seconds.
+        row: What ``rows`` counts.
+    """
     backwards = np.diff(time_utc_s) < 0.0
     if backwards.any():
         i = int(np.argmax(backwards)) + 1
         raise InputError(
-            f"{path}, {row} {numbers[i]}: {rfc3339(time_utc_s[i])} is earlier than the fix before "
-            "it; the times of a log must not decrease"
+            f"{path}, {row} {np.asarray(rows)[i]}: {rfc3339(time_utc_s[i])} is earlier than the "
+            "fix before it; the times of a log must not decrease"
         )
-    own = tally if tally is not None else Tally(path)
-    kept = np.ones(time_utc_s.size, dtype=bool)
-    if tally is None:
-        own.warn(_logger)
-    return kept
 
 
 def check_places(
