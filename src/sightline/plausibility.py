@@ -21,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sightline.errors import InputError
 from sightline.synchronisation import repeated, spread_times
-from sightline.types import BoolArray, FloatArray, IntArray
+from sightline.types import BoolArray, Fixes, FloatArray, IntArray
 
 FASTEST_MPS = 100.0
 """No vessel and no vehicle on the ground is faster; trains reach 90 m/s."""
@@ -35,6 +36,9 @@ SMALLEST_JUMP_M = 10.0
 
 LONGEST_STRETCH = 10
 """Most fixes in a stretch off the track; longer ones are looked at for what could be reached."""
+
+FARTHEST_M = 1_000_000.0
+"""No camera sees a vessel or a vehicle that is further away than this, by far."""
 
 _EARTH_M = 6_371_008.8
 _REACH_SLACK_M = 50.0
@@ -122,6 +126,40 @@ def distance_m(
         + np.cos(first) * np.cos(second) * np.sin(across / 2.0) ** 2
     )
     return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0))))
+
+
+def check_near(
+    fixes: Fixes, latitude_deg: float, longitude_deg: float, where: str, what: str
+) -> None:
+    """Raise InputError where no fix of a log is within `FARTHEST_M` of a place.
+
+    Args:
+        fixes: The log.
+        latitude_deg: Of the place, degrees north.
+        longitude_deg: Degrees east.
+        where: Which log, for the message.
+        what: What is at the place, for the message: ``the camera``.
+
+    Raises:
+        InputError: None is; says how far the nearest is, and whether it would be near with latitude
+            and longitude the other way round.
+    """
+    if not len(fixes):
+        return
+    place = np.array([latitude_deg]), np.array([longitude_deg])
+    away_m = distance_m(fixes.latitude_deg, fixes.longitude_deg, *place)
+    nearest = int(np.argmin(away_m))
+    if away_m[nearest] <= FARTHEST_M:
+        return
+    swapped = fixes.longitude_deg[nearest : nearest + 1], fixes.latitude_deg[nearest : nearest + 1]
+    turned_m = float(distance_m(*swapped, *place)[0]) if abs(swapped[0][0]) <= 90.0 else np.inf
+    mend = "is it the right log?"
+    if turned_m <= FARTHEST_M:
+        mend = "are latitude and longitude swapped?"
+    raise InputError(
+        f"{where}: its nearest fix is {away_m[nearest] / 1000.0:,.0f} km from {what}, at "
+        f"{fixes.latitude_deg[nearest]:.6f}, {fixes.longitude_deg[nearest]:.6f}; {mend}"
+    )
 
 
 def _longest_chain(

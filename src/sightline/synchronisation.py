@@ -14,6 +14,8 @@ from sightline.types import BoolArray, Fixes, FloatArray, IntArray, utc_text
 LARGEST_GAP_S = 8.0
 """A time counts where the fixes on either side of it are at most this far apart."""
 
+_FEW, _FEW_SHARE = 5, 0.03
+
 
 @dataclass(frozen=True, eq=False)
 class Synchronised:
@@ -47,10 +49,9 @@ class Synchronised:
 def distinct(fixes: Fixes) -> Fixes:
     """Fixes with distinct times.
 
-    A fix that stands twice, with its time and its place, counts once. A log that keeps whole
-    seconds, and writes most of its fixes under a second that they share, has cut off the fractions:
-    its fixes are spread evenly over their second, in their order. In any other, fixes that
-    share a time count as one, their mean.
+    A fix that stands twice, with its time and its place, counts once. Where a log has cut off the
+    fractions of its seconds, its fixes are spread evenly over their second; see `spread_times`. In
+    any other, fixes that share a time count as one, their mean.
     """
     if (np.diff(fixes.time_utc_s) > 0.0).all():
         return fixes
@@ -84,18 +85,23 @@ def repeated(
 def spread_times(time_utc_s: FloatArray) -> FloatArray:
     """Times with the fractions that a log cut off, if it did.
 
-    It did where it keeps whole seconds and more than half of its fixes share theirs. These are
-    spread evenly over the second, in their order; one by itself stands in its middle.
+    It did where it keeps whole seconds and more than half of its fixes share theirs; or where
+    about as many seconds are left out as are shared, and these are not few: then the receiver's
+    interval wanders about a second. Fixes are spread evenly over their second, in their order; one
+    by itself stands in its middle. A single second that is shared says nothing of the others.
 
     Args:
         time_utc_s: (N,) POSIX seconds, never decreasing.
     """
     if not np.array_equal(time_utc_s, np.floor(time_utc_s)):
         return time_utc_s
-    _, first, group, count = np.unique(
+    times, first, group, count = np.unique(
         time_utc_s, return_index=True, return_inverse=True, return_counts=True
     )
-    if 2 * count[count > 1].sum() <= time_utc_s.size:
+    shared, left_out = int((count > 1).sum()), int((np.diff(times) == 2.0).sum())
+    most = 2 * count[count > 1].sum() > time_utc_s.size
+    wanders = shared >= max(_FEW, _FEW_SHARE * times.size) and shared <= 2 * left_out <= 4 * shared
+    if not (most or wanders):
         return time_utc_s
     place = np.arange(time_utc_s.size) - first[group]
     return np.asarray(time_utc_s + (place + 0.5) / count[group])

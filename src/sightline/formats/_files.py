@@ -58,9 +58,41 @@ def beginning(path: str | os.PathLike[str]) -> str:
     """
     with existing(path).open("rb") as file:
         head = file.read(_SNIFFED_BYTES)
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    encoding = text_encoding(head)
+    if b"\0" in head and not encoding.startswith("utf-16"):
         raise InputError(f"{path}: is not text; expected a log or a table")
-    return head.decode("utf-8-sig", errors="replace")
+    return head.decode(encoding, errors="replace").lstrip("\ufeff")
+
+
+def text_encoding(head: bytes) -> str:
+    """The encoding that the first bytes of a text tell: UTF-16, also without a mark, or UTF-8."""
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    for encoding, zeros, letters in (("utf-16-le", 1, 0), ("utf-16-be", 0, 1)):
+        if len(head) > 3 and not any(head[zeros:200:2]) and all(head[letters:200:2]):
+            return encoding
+    return "utf-8-sig"
+
+
+def whole_text(path: str | os.PathLike[str], most_bytes: int) -> str:
+    """A text file as a whole: UTF-8 or UTF-16, else of a Western Windows.
+
+    Args:
+        path: The file.
+        most_bytes: A larger file is refused.
+
+    Raises:
+        InputError: As `beginning`, or the file is too large.
+    """
+    beginning(path)
+    if existing(path).stat().st_size > most_bytes:
+        raise InputError(f"{path}: is larger than {most_bytes // 2**20} MiB; split it")
+    data = existing(path).read_bytes()
+    encoding = text_encoding(data[:_SNIFFED_BYTES])
+    try:
+        return data.decode(encoding).lstrip("\ufeff")
+    except UnicodeDecodeError:
+        return data.decode("cp1252" if encoding == "utf-8-sig" else encoding, errors="replace")
 
 
 def log_lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
@@ -95,11 +127,7 @@ def table(
     """
     beginning(path)
     try:
-        form: dict[str, Any] = {
-            "skipinitialspace": True,
-            "skip_blank_lines": False,
-            "encoding": "utf-8-sig",
-        }
+        form = _form(path, required)
         header = pd.read_csv(existing(path), nrows=0, **form).columns
         # As it stands: somebody may be called "nan" or "NA".
         spoken = [name for name in header if str(name).strip() in text]
@@ -118,16 +146,44 @@ def table(
                     raise InputError(f"{path}: its rows have more cells than its header has names")
                 chunk.columns = chunk.columns.astype(str).str.strip()
                 _check_columns(path, list(chunk.columns), required, optional)
-                chunk.index += 2
+                chunk.index += 2 + form["skiprows"]
                 # Blank lines keep their number and then go.
                 yield chunk.dropna(how="all")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text in UTF-8 ({error.reason})") from error
+    except OverflowError as error:
+        raise InputError(f"{path}: holds a number that is too large") from error
     except pd.errors.EmptyDataError as error:
         raise InputError(f"{path}: holds no table; expected {_header(required)}") from error
     except pd.errors.ParserError as error:
         reason = str(error).strip().removeprefix("Error tokenizing data. C error: ")
         raise InputError(f"{path}: is no table of comma-separated values ({reason})") from error
+
+
+def _form(path: str | os.PathLike[str], required: Sequence[str]) -> dict[str, Any]:
+    """How a table is written, for pandas: its encoding, and what parts cells and decimals."""
+    with existing(path).open("rb") as file:
+        data = file.read(_SNIFFED_BYTES)
+    encoding = text_encoding(data)
+    lines = data.decode(encoding, errors="replace").lstrip("\ufeff").splitlines()
+    comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), 0)
+    header, *rows = lines[comments : comments + 20] or [""]
+    separator = ","
+    for other in (";", "\t"):
+        if set(required) <= {name.strip(' "') for name in header.split(other)} and other in header:
+            separator = other
+    text = "\n".join(rows)
+    comma = separator == ";" and re.search(r"\d,\d", text) and not re.search(r"\d\.\d", text)
+    return {
+        "skipinitialspace": True,
+        "skip_blank_lines": False,
+        "encoding": encoding,
+        "sep": separator,
+        "decimal": "," if comma else ".",
+        "skiprows": comments,
+        # A file is what it says, and unpacks into nothing larger.
+        "compression": None,
+    }
 
 
 def _header(required: Sequence[str]) -> str:
@@ -187,9 +243,26 @@ def shortened(text: str, most: int = 80) -> str:
 
 def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
     """A column as float64; what is not a finite number is refused by its line."""
-    values = _floats(column)
+    values = floats(column)
     refuse(path, column.index, ~np.isfinite(values), column, f"is no number ({column.name})")
     return values
+
+
+def floats(column: pd.Series) -> FloatArray:
+    """A column as float64; NaN where there is no number, infinite where it is beyond float64."""
+    try:
+        return pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    except OverflowError:
+        return np.array([_float(cell) for cell in column])
+
+
+def _float(cell: Any) -> float:
+    try:
+        return float(cell)
+    except OverflowError:
+        return float("inf")
+    except (TypeError, ValueError):
+        return float("nan")
 
 
 def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np.int64]:
@@ -207,6 +280,7 @@ def times(
     *,
     missing_allowed: bool = False,
     dated: bool = False,
+    zone_told: bool = True,
     tally: Tally | None = None,
 ) -> FloatArray:
     """A column of times as POSIX seconds; see `sightline.formats._times` for what is understood.
@@ -216,6 +290,7 @@ def times(
         column: Text or numbers; its index is the line.
         missing_allowed: Whether a cell may be empty; it becomes NaN.
         dated: Whether numbers of before 1973 are refused, as seconds of a day.
+        zone_told: Whether the column's name says that its times are in UTC.
         tally: Takes what was assumed of how they are written.
     """
     empty = column.isna().to_numpy(dtype=bool)
@@ -231,8 +306,11 @@ def times(
         line, cell = column.index[error.row], shortened(_text(column.iloc[error.row]))
         why = error.why.replace("is no time", f"is no time ({column.name})", 1)
         raise InputError(f"{path}, line {line}: {cell} {why}") from error
-    for sentence in read.assumed if tally is not None else ():
-        tally.note(sentence)
+    if tally is not None:
+        for sentence in read.assumed:
+            tally.note(sentence)
+        if read.zoneless and not zone_told:
+            tally.note("its times name no zone and are taken for UTC")
     return read.time_utc_s
 
 
@@ -242,23 +320,6 @@ def _text(cell: object) -> str:
         return str(cell)
     except ValueError:
         return "a number of thousands of digits"
-
-
-def _floats(column: pd.Series) -> FloatArray:
-    """A column as float64; NaN where there is no number, infinite where it is beyond float64."""
-    try:
-        return pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    except OverflowError:
-        return np.array([_float(cell) for cell in column])
-
-
-def _float(cell: Any) -> float:
-    try:
-        return float(cell)
-    except OverflowError:
-        return float("inf")
-    except (TypeError, ValueError):
-        return float("nan")
 
 
 def fixes(

@@ -51,22 +51,22 @@ _ZONE = (
 )
 _NAME = r"(?P<name>[A-Za-z]{3,9})"
 _BETWEEN = r"(?:[Tt_]|,?\s+|,)"
+_MOMENT = f"{_BETWEEN}{_CLOCK}{_ZONE}"
+_YEAR = r"(?P<year>\d{4})"
+_DAY = r"(?P<day>\d{1,2})"
 _WEEKDAY = r"(?:[A-Za-z]{3,9}\.?,?\s+)?"
+_BASIC_DATE = rf"{_YEAR}(?P<month>\d\d)(?P<day>\d\d)"
+_BASIC_CLOCK = r"(?P<hour>\d\d)(?P<minute>\d\d)(?P<second>\d\d)(?:[.,](?P<fraction>\d+))?"
 _FORMS = tuple(
     re.compile(form)
     for form in (
-        r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})"
-        + rf"(?:{_BETWEEN}{_CLOCK}{_ZONE})?",
-        r"(?P<first>\d{1,2})(?P<mark>[-/.])(?P<next>\d{1,2})(?P=mark)(?P<year>\d{4})"
-        + rf"{_BETWEEN}{_CLOCK}{_ZONE}",
-        r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)[Tt]?(?P<hour>\d\d)(?P<minute>\d\d)"
-        + rf"(?P<second>\d\d)(?:[.,](?P<fraction>\d+))?{_ZONE}",
+        rf"{_YEAR}[-/.](?P<month>\d{{1,2}})[-/.]{_DAY}(?:{_MOMENT})?",
+        rf"(?P<first>\d{{1,2}})(?P<mark>[-/.])(?P<next>\d{{1,2}})(?P=mark){_YEAR}{_MOMENT}",
+        rf"{_BASIC_DATE}[Tt]?{_BASIC_CLOCK}{_ZONE}",
         # 1 Jun 2024 10:00:00; Jun 1, 2024 10:00:00; Sat Jun  1 10:00:00 2024
-        rf"{_WEEKDAY}(?P<day>\d{{1,2}})[-\s/]{_NAME}\.?[-\s/,]+(?P<year>\d{{4}})"
-        + rf"{_BETWEEN}{_CLOCK}{_ZONE}",
-        rf"{_WEEKDAY}{_NAME}\.?\s+(?P<day>\d{{1,2}}),?\s+(?P<year>\d{{4}})"
-        + rf"{_BETWEEN}{_CLOCK}{_ZONE}",
-        rf"{_WEEKDAY}{_NAME}\s+(?P<day>\d{{1,2}})\s+{_CLOCK}{_ZONE}\s+(?P<year>\d{{4}})",
+        rf"{_WEEKDAY}{_DAY}[-\s/]{_NAME}\.?[-\s/,]+{_YEAR}{_MOMENT}",
+        rf"{_WEEKDAY}{_NAME}\.?\s+{_DAY},?\s+{_YEAR}{_MOMENT}",
+        rf"{_WEEKDAY}{_NAME}\s+{_DAY}\s+{_CLOCK}{_ZONE}\s+{_YEAR}",
     )
 )
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
