@@ -14,7 +14,7 @@ from sightline.types import BoolArray, Fixes, FloatArray, IntArray, utc_text
 LARGEST_GAP_S = 8.0
 """A time counts where the fixes on either side of it are at most this far apart."""
 
-_FEW, _FEW_SHARE = 5, 0.03
+_FEW, _FEW_SHARE = 5, 0.02
 
 
 @dataclass(frozen=True, eq=False)

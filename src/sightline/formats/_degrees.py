@@ -53,7 +53,12 @@ def read_degrees(
     """
     latitude, longitude = (_axis(path, columns[i], names[i], i) for i in (0, 1))
     scale, said = _scale(path, columns[0].index, latitude, longitude, names)
-    return latitude / scale, longitude / scale, said
+    latitude, longitude = latitude / scale, longitude / scale
+    known = longitude[np.isfinite(longitude)]
+    if known.size and known.min() >= 0.0 and 180.0 < known.max() <= 360.0:
+        said = "its longitudes run from 0° to 360°"
+        longitude = np.where(longitude > 180.0, longitude - 360.0, longitude)
+    return latitude, longitude, said
 
 
 def _axis(path: str | os.PathLike[str], column: pd.Series, name: str, axis: int) -> FloatArray:

@@ -28,6 +28,10 @@ _MISSING = (
     *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
+# Times in steps of two seconds or more that three fixes share, or a single one that many do.
+_COARSEST_S, _MANY, _MOST_A_SECOND = 2.0, 3, 60
+# gzip, zip (also of spreadsheets), xz, bzip2, Zstandard.
+_PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", b"BZh", b"\x28\xb5\x2f\xfd")
 _NO_INT64 = 2.0**63
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -58,6 +62,10 @@ def beginning(path: str | os.PathLike[str]) -> str:
     """
     with existing(path).open("rb") as file:
         head = file.read(_SNIFFED_BYTES)
+    if head.startswith(_PACKED):
+        raise InputError(
+            f"{path}: is a compressed file or a spreadsheet; unpack it, or save as text"
+        )
     encoding = text_encoding(head)
     if b"\0" in head and not encoding.startswith("utf-16"):
         raise InputError(f"{path}: is not text; expected a log or a table")
@@ -289,7 +297,7 @@ def times(
         path: The file, for the message.
         column: Text or numbers; its index is the line.
         missing_allowed: Whether a cell may be empty; it becomes NaN.
-        dated: Whether numbers of before 1973 are refused, as seconds of a day.
+        dated: Whether numbers of before 2000 are refused, as seconds of a day.
         zone_told: Whether the column's name says that its times are in UTC.
         tally: Takes what was assumed of how they are written.
     """
@@ -396,7 +404,7 @@ def usable(
             text = f"{latitude_deg[i]:.6f}, {longitude_deg[i]:.6f} at {rfc3339(time_utc_s[i])}"
             own.leave_out(reason, int(which.sum()), row=f"{row} {numbers[i]}", text=text)
     kept = found.kept
-    if kept.size and 2 * kept.sum() <= once.sum():
+    if kept.size and 2 * kept.sum() <= (once & ~found.nowhere).sum():
         raise InputError(
             f"{path}: no more than {kept.sum()} of its {kept.size} fixes can be true; left out: "
             f"{own.reasons()}"
@@ -423,6 +431,41 @@ def check_order(
         raise InputError(
             f"{path}, {row} {np.asarray(rows)[i]}: {rfc3339(time_utc_s[i])} is earlier than the "
             "fix before it; the times of a log must not decrease"
+        )
+
+
+def check_digits(
+    path: str | os.PathLike[str],
+    rows: ArrayLike,
+    texts: Sequence[str],
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    *,
+    row: str = "line",
+) -> None:
+    """Raise an error where times were rounded so that many places share each of them.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each fix stands.
+        texts: (N,) the times as they stand.
+        time_s: (N,) POSIX seconds.
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        row: What ``rows`` counts.
+    """
+    once = ~repeated(time_s, latitude_deg, longitude_deg)
+    times, count = np.unique(time_s[once], return_counts=True)
+    shared, most = int(count[count > 1].sum()), int(count.max(initial=0))
+    if 2 * shared <= once.sum() or np.median(count) < _MANY:
+        return
+    step_s = float(np.diff(times).min()) if times.size > 1 else float(most > _MOST_A_SECOND) * most
+    if step_s >= _COARSEST_S:
+        i = int(np.argmax(time_s == times[np.argmax(count)]))
+        raise InputError(
+            f"{path}, {row} {np.asarray(rows)[i]}: {shortened(texts[i])} is the time of {most} "
+            "different places; the times were rounded, write them with all their digits"
         )
 
 

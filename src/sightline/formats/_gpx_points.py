@@ -21,7 +21,7 @@ _LINES = {"trkseg": "trkpt", "rte": "rtept", "gpx": "wpt"}
 _POINTS = {point: line for line, point in _LINES.items()}
 _SEPARATOR = "\x1f"
 _ENCODINGS = re.compile(
-    r"(?i:utf-?(8|16|16le|16be)(-sig)?|(us-)?ascii|latin-?1|iso[-_]?8859-\d+|windows-125\d|cp125\d"
+    r"(?i:utf-8-sig|utf-16(-le|-be)?|(us-)?ascii|latin-?1|iso[-_]?8859-\d+|windows-125\d|cp125\d"
     r"|gb\w+|big5|shift[-_]jis|euc-\w+|koi8-\w)"
 )
 
@@ -118,8 +118,9 @@ def _decoded(path: str | os.PathLike[str]) -> str:
         )
     data = found.read_bytes()
     declared = re.match(rb"""\s*<\?xml[^>]*encoding\s*=\s*["']([A-Za-z0-9._-]+)""", data)
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    if declared and declared[1].lower() not in (b"utf-8", b"utf8"):
+    encoding = _files.text_encoding(data[:256])
+    # What declares itself byte by byte is not in an encoding of two bytes.
+    if declared and not declared[1].lower().startswith((b"utf-8", b"utf8", b"utf-16", b"utf16")):
         encoding = declared[1].decode("ascii")
     if not _ENCODINGS.fullmatch(encoding):
         raise InputError(f"{path}: is in the encoding {encoding}, which is none of GPX; use UTF-8")

@@ -22,8 +22,9 @@ def _names(*groups: str) -> tuple[tuple[str, ...], ...]:
 # Names of columns, less case and marks; those of an earlier group are taken first.
 _TIMES = _names(
     "timeutc utctime datetimeutc utcdatetime timestamputc utctimestamp utc",
-    "time timestamp datetime gpstime gpstimestamp gpsdatetime isotime iso8601 iso8601time fixtime "
-    "datetimestamp loggedat recordedat createdat devicetime locationtime timeofday",
+    "time timestamp datetime",
+    "gpstime gpstimestamp gpsdatetime isotime iso8601 iso8601time fixtime datetimestamp",
+    "loggedat recordedat createdat devicetime locationtime timeofday",
     "epoch epochtime unix unixtime unixtimestamp posix posixtime ts timems timestampms epochms "
     "unixms unixtimems timens timestampns timesec times timestamps timestampus timeus "
     "timestampmillis timemillis",
@@ -104,13 +105,16 @@ def read_log_table(path: str | os.PathLike[str]) -> LogTable:
         raise InputError(f"{path}: {_what_lacks(lines)}")
     number, delimiter = found
     rows = _rows(path, lines, number, delimiter)
-    _, names = next(rows)
+    names = next(row for _, row in rows)
     columns = _columns(path, names)
     cells: dict[str, list[str]] = {key: [] for key in columns}
     index, cut_short = [], []
     for line, row in rows:
         while len(row) > len(names) and not row[-1].strip():
             row.pop()
+        if row == names:
+            # Logs that were put together keep the header of each.
+            continue
         if len(row) > len(names):
             raise InputError(
                 f"{path}, line {line}: its rows have more cells than its header has names (is a "

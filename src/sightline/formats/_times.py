@@ -17,8 +17,8 @@ EXPECTED = "expected ISO 8601, as 2020-09-30T19:36:24Z, or POSIX seconds"
 # What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
 _FIRST, _LAST = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
 _FIRST_S, _LAST_S = from_datetime64([_FIRST, _LAST])
-_FIRST_DATED_S = 1e8
-"""1973: a number below is no date of a log, but seconds of a day, of a week or of a recording."""
+_FIRST_DATED_S = 946_684_800.0
+"""2000: a smaller number is seconds of a day or a recording, or since another epoch than 1970."""
 
 _POSIX_UNITS = (
     ("seconds", 1.0),
@@ -113,7 +113,7 @@ def read_times(texts: Sequence[str], *, dated: bool = True) -> Times:
 
     Args:
         texts: (N,) as they stand; an empty one has no time.
-        dated: Whether numbers of before 1973 are refused, since they are no dates.
+        dated: Whether seconds of before 2000 are refused, since they are no dates of logs.
 
     Raises:
         NotUnderstoodError: A text is no time, or may be two.
@@ -178,8 +178,8 @@ def _basic(text: str) -> bool:
 
 
 def _posix_numbers(values: FloatArray, rows: IntArray, dated: bool) -> tuple[FloatArray, str]:
-    first_s = _FIRST_DATED_S if dated else _FIRST_S
     for name, scale in _POSIX_UNITS:
+        first_s = _FIRST_DATED_S if dated or scale > 1.0 else _FIRST_S
         fits = (values > first_s * scale) & (values < _LAST_S * scale)
         if not fits[0]:
             continue
@@ -193,7 +193,7 @@ def _posix_numbers(values: FloatArray, rows: IntArray, dated: bool) -> tuple[Flo
         return seconds, "its times are taken for the day numbers of a spreadsheet, in UTC"
     why = "is no time"
     if dated and 0.0 <= values[0] <= _FIRST_DATED_S:
-        why = "has no date (is it seconds of a day, of a week or of a recording?)"
+        why = "has no date (seconds of a day, of a recording, or since another year than 1970?)"
     raise NotUnderstoodError(int(rows[0]), f"{why}; {EXPECTED}")
 
 

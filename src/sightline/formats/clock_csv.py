@@ -26,7 +26,7 @@ def read_clock(path: str | os.PathLike[str], *, tally: Tally | None = None) -> F
     Raises:
         InputError: The file is no such table, or its clock is refused; names file and row.
     """
-    (rows,) = _files.table(path, required=("frame", "utc"))
+    (rows,) = _files.table(path, required=("frame", "utc"), text=("utc",))
     own = tally if tally is not None else Tally(path)
     own.format = "CSV"
     own.count("frames", len(rows))

@@ -6,7 +6,6 @@ import logging
 import os
 
 import numpy as np
-import pandas as pd
 
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
@@ -14,13 +13,11 @@ from sightline.formats import _files
 from sightline.formats._degrees import read_degrees
 from sightline.formats._log_table import plain, read_log_table
 from sightline.tally import Tally
-from sightline.types import Fixes, FloatArray
+from sightline.types import Fixes
 
 _logger = logging.getLogger(__name__)
 
 _REQUIRED = ("time_utc", "latitude_deg", "longitude_deg")
-_COARSEST_S = 2.0
-_MANY = 3
 
 
 def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fixes:
@@ -66,33 +63,18 @@ def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) 
     when = table.time[placed].replace("", None)
     utc = "utc" in plain(str(table.time.name))
     time_s = _files.times(path, when, dated=True, tally=own, zone_told=utc)
-    _refuse_coarse(path, when, time_s, latitude[placed], longitude[placed])
-    fixes = _files.fixes(path, when.index, time_s, latitude[placed], longitude[placed], tally=own)
+    latitude, longitude, lines = latitude[placed], longitude[placed], when.index.to_numpy()
+    _files.check_digits(path, lines, when.tolist(), time_s, latitude, longitude)
+    if time_s.size > 2 and (np.diff(time_s) < 0.0).all():
+        own.note("its rows stand the newest first")
+        time_s, latitude, longitude, lines = (
+            column[::-1] for column in (time_s, latitude, longitude, lines)
+        )
+    fixes = _files.fixes(path, lines, time_s, latitude, longitude, tally=own)
     own.count("fixes", len(fixes))
     if tally is None:
         own.warn(_logger)
     return fixes
-
-
-def _refuse_coarse(
-    path: str | os.PathLike[str],
-    when: pd.Series,
-    time_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-) -> None:
-    """Raise an error where times are rounded so that many places share each of them."""
-    rows = pd.DataFrame({"t": time_s, "y": latitude_deg, "x": longitude_deg}).drop_duplicates()
-    times, count = np.unique(rows["t"], return_counts=True)
-    shared = count[count > 1].sum()
-    coarse_s = float(np.diff(times).min()) if times.size > 1 else float("inf")
-    if 2 * shared > len(rows) and np.median(count) >= _MANY and coarse_s >= _COARSEST_S:
-        i = int(np.argmax(time_s == times[np.argmax(count)]))
-        steps = f", in steps of {coarse_s:g} s" if times.size > 1 else ""
-        raise InputError(
-            f"{path}, line {when.index[i]}: {when.iloc[i]} is the time of {count.max()} different "
-            f"places{steps}; the times were rounded, write them with all their digits"
-        )
 
 
 def write_fixes_csv(fixes: Fixes, path: str | os.PathLike[str]) -> None:

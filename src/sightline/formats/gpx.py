@@ -177,12 +177,14 @@ def _fixes(
     if known.size < rows.size:
         first = rows[np.setdiff1d(order, known)[0]]
         tally.leave_out("without a place", rows.size - known.size, row=f"point {first}")
+    texts = [points[i].time for i in known]
+    places = latitude[known], longitude[known]
+    _files.check_digits(path, rows[known], texts, time_s[known], *places, row="point")
     return _files.fixes(
         path,
         rows[known],
         time_s[known],
-        latitude[known],
-        longitude[known],
+        *places,
         name=name,
         row="point",
         tally=tally,

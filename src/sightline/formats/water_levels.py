@@ -25,7 +25,7 @@ def read_water_levels(path: str | os.PathLike[str], *, tally: Tally | None = Non
         InputError: A column is missing, a cell is no number, times do not increase, or there are
             fewer than two rows.
     """
-    (rows,) = _files.table(path, required=("time_utc", "water_level_m"))
+    (rows,) = _files.table(path, required=("time_utc", "water_level_m"), text=("time_utc",))
     if len(rows) < 2:
         raise InputError(
             f"{path}: holds {len(rows)} levels; a table needs two or more (a single level is given "

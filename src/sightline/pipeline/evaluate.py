@@ -87,10 +87,10 @@ def evaluate(
         raise InputError("tracks are scored against a log; give fixes")
     log = fixes if isinstance(fixes, Fixes) else formats.read_fixes(fixes, mmsi=mmsi)
     tracks = list(what)
-    for track in tracks[:1]:
-        where = "the log" if isinstance(fixes, Fixes) else str(fixes)
-        check_near(log, track.latitude_deg[0], track.longitude_deg[0], where, "the tracks")
-    return evaluate_tracks(tracks, log, track_id=track_id, delta_s=delta_s)
+    report = evaluate_tracks(tracks, log, track_id=track_id, delta_s=delta_s)
+    where = "the log" if isinstance(fixes, Fixes) else str(fixes)
+    check_near(log, tracks[0].latitude_deg[0], tracks[0].longitude_deg[0], where, "the tracks")
+    return report
 
 
 @dataclass(frozen=True, eq=False)
