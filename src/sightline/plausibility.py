@@ -17,6 +17,7 @@ A step to another place without a return is left: nothing tells which side of it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +40,9 @@ LONGEST_STRETCH = 10
 
 FARTHEST_M = 1_000_000.0
 """No camera sees a vessel or a vehicle that is further away than this, by far."""
+
+FARTHEST_SEEN_M = 100_000.0
+"""What one camera sees lies closer together; from a hill of 500 m the sea ends at 80 km."""
 
 _EARTH_M = 6_371_008.8
 _REACH_SLACK_M = 50.0
@@ -126,6 +130,33 @@ def distance_m(
         + np.cos(first) * np.cos(second) * np.sin(across / 2.0) ** 2
     )
     return np.asarray(2.0 * _EARTH_M * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0))))
+
+
+def check_together(
+    latitude_deg: FloatArray, longitude_deg: FloatArray, names: Sequence[str], where: str
+) -> None:
+    """Raise InputError where a place is further from the middle of all than one camera sees.
+
+    Args:
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        names: (N,) what to call each place, for the message.
+        where: The file, for the message.
+
+    Raises:
+        InputError: One is; with fewer than three places nobody could tell which.
+    """
+    if len(names) < 3:
+        return
+    beside = (longitude_deg - longitude_deg[0] + 180.0) % 360.0 - 180.0
+    middle = np.median(latitude_deg)[None], (longitude_deg[0] + np.median(beside))[None]
+    away_m = distance_m(latitude_deg, longitude_deg, *middle)
+    i = int(np.argmax(away_m))
+    if away_m[i] > FARTHEST_SEEN_M:
+        raise InputError(
+            f"{where}: {names[i]} lies {away_m[i] / 1000.0:,.0f} km from the others, at "
+            f"{latitude_deg[i]:.6f}, {longitude_deg[i]:.6f}; one camera does not see so far"
+        )
 
 
 def check_near(
@@ -235,7 +266,9 @@ def _astray(time_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatAr
             if back - out > LONGEST_STRETCH:
                 break
             left_m = np.hypot(*(total[back + 1] - total[out]))
-            if left_m < 0.5 * max(size_m[out], size_m[back]) and _lonely(breaks, n, out, back):
+            if left_m < 0.5 * max(size_m[out], size_m[back]) and _lonely(
+                breaks, n, int(out), int(back)
+            ):
                 off[out + 1 : back + 1] = True
                 free = back + 1
                 break

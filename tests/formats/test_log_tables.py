@@ -241,6 +241,7 @@ MINUTES = "".join(
         ("time,lat_rad,lon_rad\n1,0.9,0.1\n", "lacks the columns latitude_deg, longitude_deg"),
         (f"time,lat (rad),lon (rad)\n{WHEN},0.9,0.1\n", "column lat .rad. is in radians"),
         (f"time,lat,lon\n{WHEN},54.3,10.1\n10:00:01,54.3,10.1\n", "line 3: 10:00:01 has no date"),
+        ("date,lat,lon\n2024-06-01,54.3,10.1\n", "line 2: 2024-06-01 has no time of day .date."),
         (f"time,lat,lon\n{WHEN},54,3,10,1\n", "line 2: its rows have more cells than its header"),
         (f"time,lat,lon\n{WHEN},north,10.1\n", r"line 2: north is no number \(lat\)"),
         (f"time,lat,lon\n{WHEN},54.3 E,10.1\n", r"line 2: 54\.3 E is no number \(lat\)"),

@@ -55,6 +55,7 @@ _HEADER_WITHIN = 60
 _MOST_BYTES = 512 * 2**20
 _RADIANS = re.compile(r"[\[(_\s]rad(ians?)?\b")
 _TIME_OF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*[Zz]?")
+_DATE_ALONE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}")
 _PACKED_TIME = re.compile(r"(\d{2})(\d{2})(\d{2}(?:\.\d+)?)")
 _PACKED_DATE = re.compile(r"(19\d\d|20\d\d)(\d\d)(\d\d)")
 
@@ -252,7 +253,14 @@ def _time(
 ) -> pd.Series:
     """Text of date and time, from one column or from two."""
     if "time" not in table:
-        return table["date"].rename(names[columns["date"]].strip())
+        date, name = table["date"], names[columns["date"]].strip()
+        bare = date.str.fullmatch(_DATE_ALONE)
+        if bare.any():
+            line = date.index[bare][0]
+            raise InputError(
+                f"{path}, line {line}: {date[line]} has no time of day ({name}); add a column time"
+            )
+        return date.rename(name)
     time = table["time"]
     name = names[columns["time"]].strip()
     alone = time[time != ""]
@@ -269,14 +277,13 @@ def _time(
     date = table["date"].str.replace(_PACKED_DATE, r"\1-\2-\3", regex=True)
     # A date as spreadsheets write it has a midnight of its own.
     date = date.str.replace(r"[T ]00:00:00(\.0+)?Z?$", "", regex=True)
-    both = (date + " " + time).where((date != "") & (time != ""), "")
+    both: pd.Series = (date + " " + time).where((date != "") & (time != ""), "")
     return both.rename(name)
 
 
 def _with_hemisphere(table: dict[str, pd.Series], key: str, hemisphere: str) -> pd.Series:
-    column = table[key].rename(f"{key}_deg")
-    if hemisphere not in table:
-        return column
-    return (
-        (column + " " + table[hemisphere]).where(column != "", "").str.strip().rename(column.name)
-    )
+    name = f"{key}_deg"
+    column = table[key]
+    if hemisphere in table:
+        column = (column + " " + table[hemisphere]).where(column != "", "").str.strip()
+    return column.rename(name)

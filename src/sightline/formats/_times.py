@@ -293,7 +293,7 @@ def _posix_s(parts: dict[str, str | None], day_first: bool | None) -> float:
     if (parts.get("sign") or "+") != "+":
         zone_s = -zone_s
     whole_s += hour * 3600 + minute * 60 + second - zone_s
-    return whole_s + int(fraction[:18]) / 10 ** len(fraction[:18])
+    return whole_s + float(f"0.{fraction}")
 
 
 def _month(name: str) -> int:

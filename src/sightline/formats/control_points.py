@@ -11,12 +11,11 @@ import numpy as np
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.geodesy import from_utm
-from sightline.plausibility import distance_m
+from sightline.plausibility import check_together
 from sightline.tally import Tally
 from sightline.types import ControlPoints, FloatArray
 
 _REQUIRED = ("x_px", "y_px", "latitude_deg", "longitude_deg")
-_FARTHEST_M = 100_000.0
 _MOST_BYTES = 16 * 2**20
 _OTVISION = ("x_px", "y_px", "zone_utm", "lon_utm", "lat_utm")
 
@@ -42,7 +41,7 @@ def read_control_points(
     else:
         (rows,) = _files.table(path, required=_REQUIRED)
         x, y, latitude, longitude = (_files.numbers(path, rows[name]) for name in _REQUIRED)
-        names = [f"in line {line}" for line in rows.index]
+        names = [f"the point of line {line}" for line in rows.index]
         kind, points = "CSV", _checked(path, np.column_stack([x, y]), latitude, longitude, names)
     if tally is not None:
         tally.format = kind
@@ -75,7 +74,7 @@ def _from_otvision(path: str | os.PathLike[str]) -> ControlPoints:
         pixels.append((x, y))
         latitudes.append(float(latitude))
         longitudes.append(float(longitude))
-    shown = [_files.shortened(str(name)) for name in points]
+    shown = [f"point {_files.shortened(str(name))}" for name in points]
     return _checked(path, np.array(pixels), np.array(latitudes), np.array(longitudes), shown)
 
 
@@ -92,14 +91,5 @@ def _checked(
         points = ControlPoints(pixel_px, latitude, longitude)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    # What one camera sees lies together; a digit too few in an easting is hundreds of kilometres.
-    beside = (longitude - longitude[0] + 180.0) % 360.0 - 180.0
-    middle = float(np.median(latitude)), float(longitude[0] + np.median(beside))
-    away_m = distance_m(latitude, longitude, *np.array(middle)[:, None])
-    if len(latitude) > 2 and away_m.max() > _FARTHEST_M:
-        i = int(np.argmax(away_m))
-        raise InputError(
-            f"{path}: point {names[i]} lies {away_m[i] / 1000.0:.0f} km from the others, at "
-            f"{latitude[i]:.5f}, {longitude[i]:.5f}; one camera does not see so far"
-        )
+    check_together(latitude, longitude, names, str(path))
     return points

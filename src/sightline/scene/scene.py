@@ -20,7 +20,7 @@ from sightline.clock import Clock, presentation_clock
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
-from sightline.plausibility import check_near
+from sightline.plausibility import check_near, check_together
 from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
@@ -482,6 +482,8 @@ def _control_points(
             latitude_deg=np.array([point.latitude_deg for point in points]),
             longitude_deg=np.array([point.longitude_deg for point in points]),
         )
+        names = [f"control point {number + 1}" for number in range(len(points))]
+        check_together(found.latitude_deg, found.longitude_deg, names, where)
     if image_size_px is not None:
         outside = ((found.pixel_px < 0.0) | (found.pixel_px > image_size_px)).any(axis=1)
         if outside.any():
