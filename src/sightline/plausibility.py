@@ -149,8 +149,8 @@ def check_together(
     if len(names) < 3:
         return
     beside = (longitude_deg - longitude_deg[0] + 180.0) % 360.0 - 180.0
-    middle = np.median(latitude_deg)[None], (longitude_deg[0] + np.median(beside))[None]
-    away_m = distance_m(latitude_deg, longitude_deg, *middle)
+    north, east = np.median(latitude_deg, keepdims=True), np.median(beside, keepdims=True)
+    away_m = distance_m(latitude_deg, longitude_deg, north, longitude_deg[0] + east)
     i = int(np.argmax(away_m))
     if away_m[i] > FARTHEST_SEEN_M:
         raise InputError(

@@ -144,6 +144,12 @@ def test_encodings_of_gpx(tmp_path: Path, encoding: str) -> None:
         ('<?xml version="1.0" encoding="punycode"?>' + FORMS["plain"], "encoding punycode"),
         (ROOT + TRACK.format(points(inside="")) + "</gpx>", "none of its 3 points has a time"),
         (ROOT + points("wpt", inside="") + "</gpx>", "has no track points"),
+        (ROOT + f"<trkseg>{points()}</trkseg></gpx>", "has no track points"),
+        (ROOT + f"<extensions>{TRACK.format(points())}</extensions></gpx>", "has no track points"),
+        (
+            FORMS["plain"].replace("10:00:01", "10:\n\x85\n00:01"),
+            "point 2: 2024-06-01T10: .* is no",
+        ),
     ],
 )
 def test_what_is_no_gpx_is_refused_by_one_line(tmp_path: Path, text: str, message: str) -> None:

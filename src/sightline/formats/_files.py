@@ -245,8 +245,10 @@ def refuse(
 
 
 def shortened(text: str, most: int = 80) -> str:
-    """A text that fits into a message."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+    """A text that fits into a message of one line."""
+    cut = text if len(text) <= most else f"{text[: most - 3]}..."
+    line = " ".join(cut.split())
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in line)
 
 
 def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:

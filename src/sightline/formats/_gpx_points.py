@@ -17,8 +17,7 @@ _NAMESPACES = (
 )
 _MOST_BYTES = 256 * 2**20
 _DEEPEST = 200
-_LINES = {"trkseg": "trkpt", "rte": "rtept", "gpx": "wpt"}
-_POINTS = {point: line for line, point in _LINES.items()}
+_POINTS = {"trkpt": ["gpx", "trk", "trkseg"], "rtept": ["gpx", "rte"], "wpt": ["gpx"]}
 _SEPARATOR = "\x1f"
 _ENCODINGS = re.compile(
     r"(?i:utf-8-sig|utf-16(-le|-be)?|(us-)?ascii|latin-?1|iso[-_]?8859-\d+|windows-125\d|cp125\d"
@@ -123,7 +122,7 @@ def _decoded(path: str | os.PathLike[str]) -> str:
     if declared and not declared[1].lower().startswith((b"utf-8", b"utf8", b"utf-16", b"utf16")):
         encoding = declared[1].decode("ascii")
     if not _ENCODINGS.fullmatch(encoding):
-        raise InputError(f"{path}: is in the encoding {encoding}, which is none of GPX; use UTF-8")
+        raise InputError(f"{path}: is in the encoding {_files.shortened(encoding)}; expected UTF-8")
     try:
         text = data.decode(encoding)
     except (UnicodeError, LookupError) as error:
@@ -167,23 +166,23 @@ class _Reader:
         if len(self._open) >= _DEEPEST:
             raise InputError(f"{self._path}: is no GPX file; its elements lie too deep")
         ours = namespace == self._namespace or namespace in _NAMESPACES
-        parent = self._open[-1] if self._open else None
+        above = self._open[:]
         self._open.append(name if ours else None)
         if not ours:
             return
-        if parent == "gpx" and name == "trk":
+        if name == "trk" and above == ["gpx"]:
             self._track = GpxTrack()
-        elif parent == "trk" and name == "trkseg":
+        elif name == "trkseg" and above == ["gpx", "trk"]:
             self.tracks.append(GpxLine(self._track))
-        elif parent == "gpx" and name == "rte":
+        elif name == "rte" and above == ["gpx"]:
             self.routes.append(GpxLine())
-        elif _POINTS.get(name) == parent and parent is not None:
+        elif _POINTS.get(name) == above:
             self._counts[name] += 1
             latitude, longitude = (attributes.get(key, "").strip() for key in ("lat", "lon"))
             self._point = GpxPoint(self._counts[name], latitude, longitude)
             self._line(name).points.append(self._point)
-        elif (parent in _POINTS and name == "time") or (
-            parent == "trk" and name in ("name", "number", "type")
+        elif (name == "time" and self._point is not None and above[-1] in _POINTS) or (
+            name in ("name", "number", "type") and above == ["gpx", "trk"]
         ):
             self._text = []
 
