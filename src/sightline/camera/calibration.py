@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import least_squares, minimize
 
 from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
@@ -484,7 +484,7 @@ class _Problem:
         in variables). Outlying boxes are down-weighted (Huber).
 
         Returns:
-            None where it ends behind the targets.
+            None where it ends behind the targets, or nowhere.
         """
         vector, aspect = start.copy(), self.aspect(start)
         mean, beliefs = self.beliefs(vector.size)
@@ -516,7 +516,10 @@ class _Problem:
             flat = both.reshape(-1, vector.size + 1)
             normal = flat[:, :-1].T @ flat[:, :-1] + precision
             slope = flat[:, :-1].T @ flat[:, -1] - precision @ (vector - mean)
-            factor = cho_factor(normal, lower=True, check_finite=False)
+            try:
+                factor = cho_factor(normal, lower=True, check_finite=False)
+            except LinAlgError:
+                return None
             step = cho_solve(factor, slope, check_finite=False)
             covariance = cho_solve(factor, np.eye(vector.size), check_finite=False)
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())

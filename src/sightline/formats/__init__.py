@@ -17,6 +17,7 @@ import pandas as pd
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
+from sightline.formats._log_table import is_log_table
 from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
@@ -34,6 +35,7 @@ from sightline.formats.parquet import parquet_track_writer, read_parquet_table
 from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
 from sightline.formats.water_levels import read_water_levels
 from sightline.geodesy import LocalPlane
+from sightline.tally import Tally
 from sightline.types import Boxes, Fixes, Track
 
 __all__ = [
@@ -118,17 +120,21 @@ def _by_suffix(path: str | os.PathLike[str], known: dict[str, T], what: str) -> 
     return known[suffix]
 
 
-def read_fixes(path: str | os.PathLike[str], *, mmsi: int | None = None) -> Fixes:
+def read_fixes(
+    path: str | os.PathLike[str], *, mmsi: int | None = None, tally: Tally | None = None
+) -> Fixes:
     """The log of one vessel or vehicle: GPX, NMEA 0183, AIS or CSV.
 
     What is in the file decides: XML is GPX; ``$..RMC`` and ``$..GGA`` sentences are the log of a
     receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
-    ``time_utc,latitude_deg,longitude_deg``. A log with both kinds of sentences is read as AIS if
-    an MMSI is given.
+    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them. A log with both kinds
+    of sentences is read as AIS if an MMSI is given. Fixes that cannot be true are left out and
+    counted; see `sightline.plausibility`.
 
     Args:
         path: The file.
         mmsi: Which vessel of an AIS log; needed where it holds several.
+        tally: Takes what was read, left out and assumed; None: what was left out is logged.
 
     Raises:
         InputError: The file is missing, empty, damaged or of no known kind; has no times, times
@@ -142,12 +148,12 @@ def read_fixes(path: str | os.PathLike[str], *, mmsi: int | None = None) -> Fixe
     if _NMEA.search(head):
         return read_nmea(path)
     if head.lstrip("\ufeff \t\r\n").startswith("<") or Path(path).suffix.lower() == ".gpx":
-        return read_gpx(path)
-    if Path(path).suffix.lower() == ".csv":
-        return read_fixes_csv(path)
+        return read_gpx(path, tally=tally)
+    if Path(path).suffix.lower() == ".csv" or is_log_table(head):
+        return read_fixes_csv(path, tally=tally)
     raise InputError(
         f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC or GGA), AIS (!AIVDM) or "
-        "a .csv table with time_utc,latitude_deg,longitude_deg"
+        "a table with time_utc,latitude_deg,longitude_deg"
     )
 
 

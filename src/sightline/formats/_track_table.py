@@ -139,8 +139,8 @@ def tracks(
     rows = _with_numbers(path, rows)
     latitude = rows["latitude_deg"].to_numpy(dtype=float)
     longitude = rows["longitude_deg"].to_numpy(dtype=float)
-    # Fixes says which row lies off the earth; times are looked at track by track.
-    _files.fixes(path, rows.index, np.zeros(len(rows)), latitude, longitude, row="row")
+    # Times are looked at track by track.
+    _files.check_places(path, rows.index, latitude, longitude, row="row")
     if plane is None:
         plane = LocalPlane(float(latitude[0]), float(longitude[0]))
     try:

@@ -28,6 +28,7 @@ from sightline.pipeline.track import (
     states,
 )
 from sightline.platform import Platform
+from sightline.plausibility import check_near
 from sightline.progress import Progress
 from sightline.scene import Scene
 from sightline.scene.correspondences import collect
@@ -85,7 +86,11 @@ def evaluate(
     if fixes is None:
         raise InputError("tracks are scored against a log; give fixes")
     log = fixes if isinstance(fixes, Fixes) else formats.read_fixes(fixes, mmsi=mmsi)
-    return evaluate_tracks(what, log, track_id=track_id, delta_s=delta_s)
+    tracks = list(what)
+    report = evaluate_tracks(tracks, log, track_id=track_id, delta_s=delta_s)
+    where = "the log" if isinstance(fixes, Fixes) else str(fixes)
+    check_near(log, tracks[0].latitude_deg[0], tracks[0].longitude_deg[0], where, "the tracks")
+    return report
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from sightline.clock import Clock, presentation_clock
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
+from sightline.plausibility import check_near, check_together
 from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
@@ -55,6 +56,13 @@ class CameraSite:
     image_size_px: tuple[int, int] | None = None
     compensate_rotation: bool = True
 
+    @property
+    def place_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude; None where they are not known."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        return self.latitude_deg, self.longitude_deg
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -75,6 +83,7 @@ class Recording:
         water_level_m: Water level above the datum, or None.
         water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
+        camera_place_deg: Latitude and longitude of the camera where the scene file says them.
     """
 
     name: str
@@ -91,6 +100,7 @@ class Recording:
     water_level_m: float | None = None
     water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
+    camera_place_deg: tuple[float, float] | None = None
 
     @property
     def source(self) -> Path | None:
@@ -146,11 +156,15 @@ class Recording:
         """The log of the target, as fixes.
 
         Raises:
-            InputError: The recording has none, or it cannot be used.
+            InputError: The recording has none, it cannot be used, or all of it is so far from the
+                camera that one of the two places is wrong.
         """
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
-        return _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+        fixes = _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+        if self.camera_place_deg is not None:
+            check_near(fixes, *self.camera_place_deg, str(self.fixes_path), "the camera")
+        return fixes
 
     def platform(self) -> Platform | None:
         """The platform that the camera is on; None where it is static.
@@ -279,7 +293,7 @@ class Scene:
         return cls(
             camera=camera,
             recordings=tuple(
-                _recording(Path(path), base, i, recording, camera.image_size_px)
+                _recording(Path(path), base, i, recording, camera)
                 for i, recording in enumerate(table.recordings)
             ),
             control_points=_control_points(
@@ -419,7 +433,7 @@ def _recording(
     base: Path,
     number: int,
     table: RecordingTable,
-    image_size_px: tuple[int, int] | None,
+    camera: CameraSite,
 ) -> Recording:
     paths: dict[str, Path | None] = {}
     for key in _FILES:
@@ -435,7 +449,8 @@ def _recording(
         start_utc_s=None if start is None else start.timestamp(),
         mmsi=table.mmsi,
         water_level_m=table.water_level_m,
-        image_size_px=image_size_px,
+        image_size_px=camera.image_size_px,
+        camera_place_deg=camera.place_deg,
         **paths,
     )
 
@@ -467,6 +482,8 @@ def _control_points(
             latitude_deg=np.array([point.latitude_deg for point in points]),
             longitude_deg=np.array([point.longitude_deg for point in points]),
         )
+        names = [f"control point {number + 1}" for number in range(len(points))]
+        check_together(found.latitude_deg, found.longitude_deg, names, where)
     if image_size_px is not None:
         outside = ((found.pixel_px < 0.0) | (found.pixel_px > image_size_px)).any(axis=1)
         if outside.any():
