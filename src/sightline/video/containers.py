@@ -7,11 +7,13 @@ nothing but that file, from an address what its kind of stream needs.
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import BinaryIO
 
 import av
 
@@ -115,17 +117,21 @@ def _opened(
         raise _unreadable(name, ValueError(f"a {container.format.name} file"))
     # AVI and its like store no times of showing, and those that FFmpeg makes up are wrong.
     if container.format.name.split(",")[0] in ("avi", "matroska", "asf"):
-        container.flags &= ~av.container.Flags.gen_pts.value
+        container.flags &= ~av.container.Flags["gen_pts"].value  # type: ignore[operator]
     return container
 
 
 def _unreadable(name: str, error: Exception) -> InputError:
     if not is_address(name) and Path(name).suffix.lower() in PICTURE_SUFFIXES:
         return InputError(f"{name}: is a picture, not a video; give the folder that it is in")
-    if isinstance(error, av.error.FFmpegError) and error.errno == 22:
-        reason = "none of the formats that are read; what names other files, as a playlist, is not"
-    else:
-        reason = getattr(error, "strerror", None) or str(error)
+    if isinstance(error, av.error.FFmpegError) and error.errno == errno.EINVAL:
+        return InputError(
+            f"{name}: is of no format that is read as a video; what names other files, as a "
+            "playlist does, is not"
+        )
+    reason = getattr(error, "strerror", None) or str(error)
+    if is_address(name):
+        return InputError(f"{name}: cannot be read as a video ({reason})")
     return InputError(
         f"{name}: cannot be read as a video ({reason}); the file is damaged, cut short, or of "
         "another kind"
@@ -153,6 +159,11 @@ def film_stream(
 
     # Of equals the first.
     chosen = max(whole, key=rank)
+    if chosen.width * chosen.height > MOST_PIXELS:
+        raise InputError(
+            f"{name}: pictures of {chosen.width} x {chosen.height} px are too large; at most "
+            f"{MOST_PIXELS // 1_000_000} megapixels are read"
+        )
     if len(films) > 1 and tally is not None:
         tally.note(
             f"holds {len(films)} videos; stream {chosen.index} is read, with {chosen.width} x "
@@ -177,7 +188,8 @@ def _duration_s(stream: av.VideoStream) -> float:
 
 def has_times(container: av.container.InputContainer) -> bool:
     """Whether the format stores times: raw streams of pictures do not, FFmpeg makes some up."""
-    return not container.format.flags & av.format.Flags.no_timestamps.value
+    timeless: int = av.format.Flags["no_timestamps"].value  # type: ignore[assignment]
+    return not container.format.flags & timeless
 
 
 def is_live(container: av.container.InputContainer, name: str) -> bool:
@@ -224,19 +236,20 @@ def is_cut_short(path: Path, format_name: str) -> bool:
     return False
 
 
-def _box_ends(file: object, size: int) -> Iterator[int]:
-    """Ends of the outermost boxes of an ISO file."""
+def _box_ends(file: BinaryIO, size: int) -> Iterator[int]:
+    """Ends of the outermost boxes of an ISO file that hold pictures."""
     place = 0
     while place + 8 <= size:
-        file.seek(place)  # type: ignore[attr-defined]
-        head = file.read(16)  # type: ignore[attr-defined]
+        file.seek(place)
+        head = file.read(16)
         length = int.from_bytes(head[:4], "big")
         if length == 1:
             length = int.from_bytes(head[8:16], "big")
         if length < 8:
             return
         place += length
-        yield place
+        if head[4:8] in (b"mdat", b"moof"):
+            yield place
 
 
 def _segment_end(head: bytes) -> int:

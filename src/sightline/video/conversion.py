@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
 
 import av
@@ -67,7 +68,9 @@ class Conversion:
             if first:
                 self._grey.note_in(self._tally)
         else:
-            image = picture.to_ndarray(format="bgr24", width=width, height=height)
+            image = np.asarray(
+                picture.to_ndarray(format="bgr24", width=width, height=height), dtype=np.uint8
+            )
         transposed, mirrored_x, mirrored_y = _turn(picture)
         if transposed:
             image = image.transpose(1, 0, 2)
@@ -84,12 +87,20 @@ def _turn(picture: av.VideoFrame) -> tuple[bool, bool, bool]:
     mirrored. The matrix takes a stored point to where it is shown, both with y down; other angles
     than quarters of a turn are taken for the next of these.
     """
-    side_data = picture.side_data
-    if "DISPLAYMATRIX" not in side_data:
+    try:
+        matrix = np.frombuffer(_display_matrix(picture), dtype="=i4")
+    except ValueError:
+        # It carries data of a kind that is newer than the library.
+        quarters = round(picture.rotation / 90) % 4
+        return bool(quarters % 2), quarters in (2, 3), quarters in (1, 2)
+    if matrix.size < 9:
         return False, False, False
-    matrix = np.frombuffer(bytes(side_data["DISPLAYMATRIX"]), dtype="=i4")
     across, down = matrix[[0, 3]] / _UNIT, matrix[[1, 4]] / _UNIT
-    transposed = bool(abs(across[1]) > abs(across[0]))
-    if transposed:
+    if abs(across[1]) > abs(across[0]):
         return True, bool(across[1] < 0), bool(down[0] < 0)
     return False, bool(across[0] < 0), bool(down[1] < 0)
+
+
+def _display_matrix(picture: av.VideoFrame) -> bytes:
+    side_data: Mapping[str, object] = picture.side_data
+    return bytes(side_data["DISPLAYMATRIX"]) if "DISPLAYMATRIX" in side_data else b""  # type: ignore[call-overload]

@@ -167,7 +167,7 @@ class PacketClock:
         self._decoded_ticks: int | None = None
         self._first: Key | None = None
 
-    def key(self, packet: av.Packet) -> Key | None:
+    def key(self, packet: av.Packet[av.VideoStream]) -> Key | None:
         """Of a packet; None where its picture is not among those shown, or has no time.
 
         Pictures before the first key picture, and those that lean on one before it, are not.
@@ -175,12 +175,11 @@ class PacketClock:
         if self._first is None:
             # As in Matroska files made from AVI.
             self.by_decoding |= self.timed and packet.pts is None and packet.dts is not None
-        decoded = packet.dts if packet.dts is not None else packet.pts
-        if decoded is not None and self.timed:
+        if packet.dts is not None and self.timed:
             before = self._decoded_ticks
-            if before is not None and (before - decoded) * packet.time_base > _DISORDER_S:
+            if before is not None and (before - packet.dts) * packet.time_base > _DISORDER_S:
                 self.segment += 1
-            self._decoded_ticks = decoded
+            self._decoded_ticks = packet.dts
         ticks = packet.dts if self.by_decoding else packet.pts
         if not self.timed:
             ticks = 0
@@ -212,6 +211,7 @@ class Decoder:
         self._waiting: dict[int, Key] = {}
         self._slots: list[Key] = []
         self._damage = 0
+        self._damaged_at = -_MOST_REORDERED
         self._shown = 0
         self._lost: list[int] = []
         # Each picture says of which packet it is.
@@ -253,20 +253,27 @@ class Decoder:
     def _sent(self) -> Iterator[list[av.VideoFrame]]:
         for ordinal, packet in enumerate(self._source.packets()):
             if packet.size:
-                packet.opaque = ordinal
+                # The library tells objects from each other by their place in memory, in which
+                # equal numbers may be one.
+                packet.opaque = [ordinal]
                 key = self._clock.key(packet)
                 if key is not None:
                     self._waiting[ordinal] = key
                     if self._clock.by_decoding:
                         heapq.heappush(self._slots, key)
                 # What comes before the first key picture is not damaged, only not ours.
-                self._damage += packet.is_corrupt and bool(self._waiting)
+                self._note_damage(ordinal, packet.is_corrupt)
             try:
                 pictures: list[av.VideoFrame] = packet.decode()
             except av.FFmpegError:
-                self._damage += bool(self._waiting)
+                self._note_damage(ordinal, True)
                 pictures = []
             yield pictures
+
+    def _note_damage(self, ordinal: int, damaged: bool) -> None:
+        if damaged and self._waiting:
+            self._damage += 1
+            self._damaged_at = ordinal
 
     def _drained(self) -> list[av.VideoFrame]:
         try:
@@ -279,7 +286,7 @@ class Decoder:
         """A picture behind the frames before it that are lost."""
         self._one_a_packet &= not picture.interlaced_frame
         ordinal = self._ordinal(picture)
-        self._in_order &= ordinal > self._latest
+        self._in_order &= ordinal > self._latest or ordinal < 0
         self._latest = max(self._latest, ordinal)
         own = self._waiting.pop(ordinal, None)
         key = own
@@ -299,8 +306,8 @@ class Decoder:
 
     def _ordinal(self, picture: av.VideoFrame) -> int:
         """Of a picture's packet; -1 where it is not known."""
-        if isinstance(picture.opaque, int):
-            return picture.opaque
+        if isinstance(picture.opaque, list):
+            return int(picture.opaque[0])
         # Of decoders that do not hand on what a packet carries.
         same = (o for o, key in self._waiting.items() if key.ticks == picture.pts)
         return next(same, -1)
@@ -318,9 +325,10 @@ class Decoder:
         if self._clock.by_decoding:
             lost = [self._taken_slot(one) for one in lost]
         lost = lost if self._one_a_packet else lost[: self._damage]
-        damaged = bool(lost) or self._damage > 0
         self._damage = 0
-        missing = self._missing(key) if damaged and self._transport else 0
+        # A transport stream marks the packet before those that are missing, or that behind them.
+        near = bool(lost) or ordinal <= self._damaged_at + _MOST_REORDERED
+        missing = self._missing(key) if near and self._transport else 0
         if key is not None and missing > len(lost):
             now_s = key.ticks * self._tick_s
             step_s = self.timeline.ahead_s(key.segment, now_s) / (missing + 1)

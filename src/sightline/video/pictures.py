@@ -48,7 +48,8 @@ class GreyScale:
             self.range = float(finite.min()), float(finite.max())
         lowest, highest = self.range
         scaled = (finite - lowest) * (255.0 / max(highest - lowest, 1e-9))
-        return np.rint(np.clip(scaled, 0.0, 255.0)).astype(np.uint8)
+        shown: NDArray[np.uint8] = np.rint(np.clip(scaled, 0.0, 255.0)).astype(np.uint8)
+        return shown
 
     def note_in(self, tally: Tally) -> None:
         """Say by which range grey values were scaled, where they were."""

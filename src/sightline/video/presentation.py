@@ -10,7 +10,7 @@ import numpy as np
 from sightline.tally import Tally
 from sightline.types import FloatArray
 from sightline.video.conversion import Conversion
-from sightline.video.decoding import Decoder, PacketClock, Timeline
+from sightline.video.decoding import Decoder, Key, PacketClock, Timeline
 from sightline.video.sources import BreakError, FileSource, open_source
 
 # Codecs of which one packet is one picture, and of which `_size_mark` sees a change of size.
@@ -58,7 +58,8 @@ def _times(source: FileSource, tally: Tally) -> FloatArray | None:
     clock = PacketClock(source.container)
     if codec not in _CODECS or not clock.timed:
         return None
-    keys, mark = [], None
+    keys: list[Key] = []
+    mark: bytes | None = None
     try:
         for packet in source.packets():
             if not packet.size:

@@ -23,6 +23,7 @@ from sightline.video.containers import (
     is_live,
     open_container,
 )
+from sightline.video.pictures import MOST_PIXELS
 
 # How often a demuxer may fail in a row before the video counts as broken off.
 _MOST_FAILURES = 10
@@ -49,7 +50,7 @@ class Source(Protocol):
     stream: av.VideoStream
     live: bool
 
-    def packets(self) -> Iterator[av.Packet]:
+    def packets(self) -> Iterator[av.Packet[av.VideoStream]]:
         """The packets of the stream.
 
         Raises:
@@ -70,6 +71,8 @@ def open_source(name: str, tally: Tally) -> Source:
     """Open a file or a stream; see `open_container`."""
     source: Source = StreamSource(name, tally) if is_address(name) else FileSource(name, tally)
     tally.format = source.container.format.long_name
+    # What a header says of the size, pictures need not keep to.
+    source.stream.codec_context.options = {"max_pixels": str(MOST_PIXELS)}
     # Threads that each decode a picture hold as many back, which a stream's times would show.
     source.stream.thread_type = "SLICE" if source.live else "AUTO"
     return source
@@ -89,7 +92,7 @@ class FileSource:
             self.container.close()
             raise
 
-    def packets(self) -> Iterator[av.Packet]:
+    def packets(self) -> Iterator[av.Packet[av.VideoStream]]:
         """The packets, past places that are damaged."""
         yield from _demuxed(self.container, self.stream)
         if is_cut_short(Path(self._name), self.container.format.name):
@@ -126,7 +129,7 @@ class StreamSource:
         self.live = is_live(opened, name)
         self.stream = film_stream(opened, name, tally)
 
-    def packets(self) -> Iterator[av.Packet]:
+    def packets(self) -> Iterator[av.Packet[av.VideoStream]]:
         """The packets, as they arrive."""
         while True:
             received = self._next()
@@ -193,50 +196,64 @@ def _receive(name: str, received: queue.Queue[object], stop: threading.Event) ->
 
 def _stamped(
     container: av.container.InputContainer, stream: av.VideoStream, begun_s: float
-) -> Iterator[tuple[float, av.Packet]]:
+) -> Iterator[tuple[float, av.Packet[av.VideoStream]]]:
     """Packets with their times of arrival.
 
-    What had arrived while FFmpeg found out what it is comes all at once; its times are told by
-    its own clock, or are spread evenly over that while.
+    What had arrived while FFmpeg found out what it is comes all at once. Its times are told by
+    its own clock, or by the pace of the first two that are waited for.
     """
-    opened_s = now_s = time.time()
-    waiting: list[av.Packet] = []
-    broken: BreakError | None = None
-    begun = False
+    opened_s = time.time()
+    waiting: list[av.Packet[av.VideoStream]] = []
+    paced: list[tuple[float, av.Packet[av.VideoStream]]] | None = []
     packets = _demuxed(container, stream)
-    while True:
-        packet: av.Packet | None = None
+    broken: BreakError | None = None
+    while broken is None:
         try:
             packet = next(packets, None)
         except BreakError as error:
-            broken = error
+            broken, packet = error, None
         now_s = time.time()
-        if not begun and packet is not None and now_s - opened_s < _WAITING_S:
-            waiting.append(packet)
+        if packet is not None and paced is None:
+            yield now_s, packet
             continue
-        if not begun:
-            begun = True
-            yield from _spread(waiting, packet, begun_s, now_s, timed=has_times(container))
+        if packet is not None and paced is not None:
+            if not paced and now_s - opened_s < _WAITING_S:
+                waiting.append(packet)
+                continue
+            paced.append((now_s, packet))
+        if paced is not None and (packet is None or len(paced) == 2 or not waiting):
+            yield from _before(waiting, paced, begun_s, timed=has_times(container))
+            yield from paced
+            paced = None
         if packet is None:
             break
-        yield now_s, packet
     if broken is not None:
         raise broken
 
 
-def _spread(
-    waiting: list[av.Packet], after: av.Packet | None, begun_s: float, now_s: float, *, timed: bool
-) -> Iterator[tuple[float, av.Packet]]:
-    reference = after.dts if timed and after is not None else None
+def _before(
+    waiting: list[av.Packet[av.VideoStream]],
+    paced: list[tuple[float, av.Packet[av.VideoStream]]],
+    begun_s: float,
+    *,
+    timed: bool,
+) -> Iterator[tuple[float, av.Packet[av.VideoStream]]]:
+    """Packets that had waited, with the times at which they may have come."""
+    until_s = paced[0][0] if paced else time.time()
+    pace_s = (until_s - begun_s) / max(len(waiting), 1)
+    if len(paced) == 2:
+        pace_s = paced[1][0] - paced[0][0]
+    reference = paced[0][1].dts if timed and paced else None
     for number, packet in enumerate(waiting):
-        arrival_s = begun_s + (now_s - begun_s) * number / len(waiting)
+        earlier_s = (len(waiting) - number) * pace_s
         if reference is not None and packet.dts is not None:
             earlier_s = float((reference - packet.dts) * packet.time_base)
-            arrival_s = min(max(begun_s, now_s - earlier_s), now_s)
-        yield arrival_s, packet
+        yield min(max(begun_s, until_s - earlier_s), until_s), packet
 
 
-def _demuxed(container: av.container.InputContainer, stream: av.VideoStream) -> Iterator[av.Packet]:
+def _demuxed(
+    container: av.container.InputContainer, stream: av.VideoStream
+) -> Iterator[av.Packet[av.VideoStream]]:
     failures = 0
     while True:
         try:
@@ -255,7 +272,7 @@ def _reason(error: av.FFmpegError) -> str:
     # FFmpeg says so of whoever interrupts it, here its own time limit.
     if isinstance(error, av.error.ExitError):
         return f"it said nothing for {containers.SILENCE_TIMEOUT_S:g} s"
-    # Of a connection that is closed in the middle of a picture.
-    if error.errno == errno.EIO:
-        return "it cannot be read further, or its connection was closed"
+    # Of an address whose connection is closed.
+    if error.errno == errno.EIO and not isinstance(error, av.error.InvalidDataError):
+        return "it has ended, or its connection was closed"
     return error.strerror or "it cannot be decoded"
