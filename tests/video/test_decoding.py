@@ -359,3 +359,58 @@ def test_warnings_are_logged_once(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert [record.message for record in caplog.records if "starts anew" in record.message] == [
         caplog.records[0].message
     ]
+
+
+def test_one_wrong_time_is_no_break_of_the_clock(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.ts", list(range(0, 4000, 100)))
+    data = bytearray(path.read_bytes())
+    place = packet_places(path)[20][0] // 188 * 188
+    begun = data.index(b"\0\0\1\xe0", place)
+    # A bit of the presentation time that is worth hours.
+    data[begun + 9] ^= 0x04
+    path.write_bytes(data)
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    assert index == numbers == list(range(40))
+    np.testing.assert_allclose(times_s, np.arange(40) / 10.0, atol=1e-4)
+    assert any("cannot be true (the first is frame 20)" in note for note in tally.notes)
+    agree(path, index, times_s, 40)
+
+
+def test_an_end_that_was_never_written(tmp_path: Path) -> None:
+    # Recorders and downloads take the place on the disk first.
+    path = write(tmp_path / "a.mp4", list(range(0, 6000, 100)), options={"movflags": "faststart"})
+    data = path.read_bytes()
+    begun = packet_places(path)[30][0]
+    path.write_bytes(data[:begun] + bytes(len(data) - begun))
+    found = []
+    with pytest.raises(BrokenOffError, match="its end cannot be decoded"):
+        found.extend(frames(path))
+    assert [number_of(frame.image_bgr) for frame in found] == list(range(30))
+
+
+def test_a_stream_that_begins_between_key_pictures(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.ts", list(range(0, 4000, 100)), b_frames=2)
+    data = path.read_bytes()
+    begun = packet_places(path)[14][0] // 188 * 188
+    path.write_bytes(data[: 3 * 188] + data[begun:])
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    # Frames are counted from the first that can be shown, and none counts as damaged.
+    assert numbers == list(range(numbers[0], 40))
+    assert numbers[0] <= 20
+    assert index == list(range(len(numbers)))
+    assert tally.total_left_out == 0
+    np.testing.assert_allclose(times_s, np.arange(len(numbers)) / 10.0, atol=1e-4)
+    agree(path, index, times_s, len(numbers))
+
+
+def test_fields_that_are_packets_each(tmp_path: Path) -> None:
+    def prepare(stream: av.VideoStream) -> None:
+        stream.options = {"preset": "ultrafast", "x264-params": "tff=1:keyint=10"}
+
+    path = write(tmp_path / "a.ts", TEN_HZ, prepare=prepare)
+    index, times_s, numbers = seen(path)
+    assert index == numbers == list(range(24))
+    assert presentation_of_packets(str(path), Tally(path)) is None
+    agree(path, index, times_s, 24)

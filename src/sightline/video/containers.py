@@ -148,8 +148,8 @@ def film_stream(
     """
     films = list(_films(container))
     if not films:
-        only = " but a cover picture" if container.streams.video else ""
-        raise InputError(f"{name}: holds no video{only}")
+        only = ", or only a cover picture" if container.streams.video else ""
+        raise InputError(f"{name}: holds no video that can be decoded{only}")
     longest_s = max(_duration_s(stream) for stream in films)
     whole = [stream for stream in films if _duration_s(stream) * 2.0 >= longest_s]
 

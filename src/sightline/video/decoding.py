@@ -28,13 +28,17 @@ _PAUSE_INTERVALS = 50.0
 # How far from a whole number of intervals a gap may be that lost frames explain.
 _WHOLE = 0.2
 _REMEMBERED = 31
+_FEW_STEPS = 8
+# By how much a video must end before its container says for its end to be lost.
+_LATE_S = 1.0
+_LATE_SHARE = 0.05
 # Decoders hold pictures back by at most so many packets to show them in order.
 _MOST_REORDERED = 16
 # Of these one packet is one picture, so that a packet without one is a lost picture. Others have
 # packets that only tell later ones something (VP8), or that repeat the picture (MPEG-4 part 2).
 ONE_PICTURE_A_PACKET = ("h264", "hevc", "vvc", "av1", "libdav1d", "mjpeg", "ffv1", "prores")
-# Formats without an index in which lost bytes take whole packets with them.
-_TRANSPORT = ("mpegts", "mpeg", "rtsp", "rtp", "flv")
+# Formats in which lost bytes take whole packets with them.
+_TRANSPORT = ("mpegts", "mpeg", "rtsp", "rtp", "flv", "matroska,webm")
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,7 @@ class Timeline:
         self._restarts: list[int] = []
         self._pauses: list[tuple[int, float]] = []
         self._disordered: list[int] = []
+        self._wrong: list[int] = []
 
     def interval_s(self) -> float:
         """The usual time from one frame to the next; 0 where that is not known yet."""
@@ -74,6 +79,23 @@ class Timeline:
         if self._origin_s is None or segment != self._segment:
             return 0.0
         return raw_s - self._origin_s + self._offset_s - self._last_s
+
+    def is_regular(self) -> bool:
+        """Whether nearly all frames came at the usual interval."""
+        usual_s = self.interval_s()
+        near = sum(abs(step_s - usual_s) <= _WHOLE * usual_s for step_s in self._intervals)
+        return near >= 0.9 * len(self._intervals) and len(self._intervals) >= _FEW_STEPS
+
+    def breaks_at(self, segment: int) -> bool:
+        """Whether the clock does not simply go on with a frame."""
+        return self._origin_s is not None and segment != self._segment
+
+    def goes_on_with(self, raw_s: float) -> bool:
+        """Whether a time follows that of the last frame, as if nothing had been."""
+        if self._origin_s is None:
+            return False
+        step_s = raw_s - self._origin_s + self._offset_s - self._last_s
+        return 0.0 < step_s <= longest_step_s(self.interval_s())
 
     def place(self, segment: int, raw_s: float) -> float:
         """The time of the next frame.
@@ -86,10 +108,12 @@ class Timeline:
             self._origin_s, self._segment = raw_s, segment
         seconds = raw_s - self._origin_s + self._offset_s
         step_s, interval_s = seconds - self._last_s, self.interval_s()
-        longest_s = max(_PAUSE_S, _PAUSE_INTERVALS * interval_s)
+        longest_s = longest_step_s(interval_s)
         if segment != self._segment:
             self._segment = segment
-            if not 0.0 < step_s <= longest_s:
+            if step_s > longest_s:
+                self._pauses.append((self._frames, step_s))
+            elif step_s <= 0.0:
                 self._restarts.append(self._frames)
                 self._offset_s += interval_s - step_s
                 seconds = self._last_s + interval_s
@@ -104,8 +128,10 @@ class Timeline:
         self._last_s = seconds
         return seconds
 
-    def after_last(self) -> float:
-        """The time of a frame of which the video tells none."""
+    def after_last(self, *, wrong: bool = False) -> float:
+        """The time of a frame of which the video tells none, or a wrong one."""
+        if wrong:
+            self._wrong.append(self._frames)
         self._frames += 1
         self._last_s += self.interval_s()
         return self._last_s
@@ -125,11 +151,21 @@ class Timeline:
                 f"its clock jumps ahead at frame {first}{more}, by up to {longest_s:.1f} s; that "
                 "is taken for a pause: a clock (frame,utc) would tell"
             )
+        if self._wrong:
+            tally.note(
+                f"the times of {len(self._wrong)} frames cannot be true (the first is frame "
+                f"{self._wrong[0]}); they are taken one usual interval after those before"
+            )
         if self._disordered:
             tally.note(
                 f"the times of {len(self._disordered)} frames are not later than those before "
                 f"(the first is frame {self._disordered[0]}); they are taken at the same time"
             )
+
+
+def longest_step_s(interval_s: float) -> float:
+    """The longest step ahead that is no pause, of a video with a usual interval."""
+    return max(_PAUSE_S, _PAUSE_INTERVALS * interval_s)
 
 
 def _places(frames: list[int]) -> str:
@@ -164,7 +200,8 @@ class PacketClock:
         self.timed = has_times(container)
         self.by_decoding = self.timed and container.format.name == "avi"
         self.segment = 0
-        self._decoded_ticks: int | None = None
+        self._decoded_s: float | None = None
+        self._steps_s: deque[float] = deque(maxlen=_REMEMBERED)
         self._first: Key | None = None
 
     def key(self, packet: av.Packet[av.VideoStream]) -> Key | None:
@@ -176,10 +213,7 @@ class PacketClock:
             # As in Matroska files made from AVI.
             self.by_decoding |= self.timed and packet.pts is None and packet.dts is not None
         if packet.dts is not None and self.timed:
-            before = self._decoded_ticks
-            if before is not None and (before - packet.dts) * packet.time_base > _DISORDER_S:
-                self.segment += 1
-            self._decoded_ticks = packet.dts
+            self._step_to(float(packet.dts * packet.time_base))
         ticks = packet.dts if self.by_decoding else packet.pts
         if not self.timed:
             ticks = 0
@@ -188,6 +222,19 @@ class PacketClock:
         key = Key(self.segment, ticks)
         self._first = self._first or key
         return None if packet.is_discard or key < self._first else key
+
+    def _step_to(self, decoded_s: float) -> None:
+        """Notice a clock that starts anew, or jumps, by the times of decoding: they only grow."""
+        if self._decoded_s is not None:
+            step_s = decoded_s - self._decoded_s
+            # Before it is known what is usual, a long step is no jump.
+            known = len(self._steps_s) >= _FEW_STEPS
+            usual_s = statistics.median(self._steps_s) if known else float("inf")
+            if step_s < -_DISORDER_S or step_s > longest_step_s(usual_s):
+                self.segment += 1
+            else:
+                self._steps_s.append(step_s)
+        self._decoded_s = decoded_s
 
 
 class Decoder:
@@ -212,7 +259,9 @@ class Decoder:
         self._slots: list[Key] = []
         self._damage = 0
         self._damaged_at = -_MOST_REORDERED
-        self._shown = 0
+        self._sent_count = 0
+        self._held: tuple[Key, av.VideoFrame | None] | None = None
+        self._shown, self._shown_s = 0, 0.0
         self._lost: list[int] = []
         # Each picture says of which packet it is.
         stream.codec_context.flags |= Flags.copy_opaque
@@ -235,8 +284,22 @@ class Decoder:
             for picture in pictures:
                 yield from self._frames(picture)
         yield from self._left()
+        if broken is None and self._ends_early():
+            broken = BreakError("its end cannot be decoded")
         if broken is not None:
             raise broken
+
+    def _ends_early(self) -> bool:
+        """Whether all that the container announces after a damaged place is lost."""
+        container = self._source.container
+        damaged = bool(self._lost) or self._damage > 0
+        if self._source.live or not damaged or container.duration is None:
+            return False
+        duration_s = container.duration / av.time_base
+        missing_s = duration_s - self._shown_s - self.timeline.interval_s()
+        near_the_end = self._damaged_at >= self._sent_count - _MOST_REORDERED
+        trailing = bool(self._lost) and self._lost[-1] == self.frames - 1
+        return (near_the_end or trailing) and missing_s > max(_LATE_S, _LATE_SHARE * duration_s)
 
     @property
     def frames(self) -> int:
@@ -253,6 +316,7 @@ class Decoder:
     def _sent(self) -> Iterator[list[av.VideoFrame]]:
         for ordinal, packet in enumerate(self._source.packets()):
             if packet.size:
+                self._sent_count = ordinal
                 # The library tells objects from each other by their place in memory, in which
                 # equal numbers may be one.
                 packet.opaque = [ordinal]
@@ -296,13 +360,29 @@ class Decoder:
         yield from self._lost_before(ordinal, key)
         if self._clock.by_decoding and self._slots:
             key = heapq.heappop(self._slots)
-        seconds = self._seconds(key)
-        if picture.is_corrupt:
+        yield from self._placed(key, None if picture.is_corrupt else picture)
+
+    def _placed(self, key: Key | None, picture: av.VideoFrame | None) -> Iterator[Decoded]:
+        """A frame with its time; where the clock breaks, after a look at the next frame's."""
+        held, self._held = self._held, None
+        timed = key is not None and self._clock.timed
+        goes_on = key is not None and self.timeline.goes_on_with(key.ticks * self._tick_s)
+        if held is not None:
+            wrong = timed and goes_on
+            seconds = self.timeline.after_last(wrong=True) if wrong else self._seconds(held[0])
+            yield self._frame(seconds, held[1])
+        if key is not None and timed and not goes_on and self.timeline.breaks_at(key.segment):
+            self._held = key, picture
+        else:
+            yield self._frame(self._seconds(key), picture)
+
+    def _frame(self, seconds: float, picture: av.VideoFrame | None) -> Decoded:
+        if picture is None:
             self._lost.append(self.frames)
-            yield Decoded(seconds, None)
         else:
             self._shown += 1
-            yield Decoded(seconds, picture)
+            self._shown_s = seconds
+        return Decoded(seconds, picture)
 
     def _ordinal(self, picture: av.VideoFrame) -> int:
         """Of a picture's packet; -1 where it is not known."""
@@ -333,10 +413,10 @@ class Decoder:
             now_s = key.ticks * self._tick_s
             step_s = self.timeline.ahead_s(key.segment, now_s) / (missing + 1)
             for number in range(missing, 0, -1):
-                yield self._lose(self.timeline.place(key.segment, now_s - number * step_s))
+                yield self._frame(self.timeline.place(key.segment, now_s - number * step_s), None)
             return
         for one in sorted(lost):
-            yield self._lose(self._seconds(one))
+            yield from self._placed(one, None)
 
     def _taken_slot(self, own: Key) -> Key:
         """The time of a lost frame: its own, or the next if another frame was given that."""
@@ -356,7 +436,7 @@ class Decoder:
     def _missing(self, key: Key | None) -> int:
         """How many frames the time since the last one has room for."""
         interval_s = self.timeline.interval_s()
-        if key is None or not interval_s:
+        if key is None or not self.timeline.is_regular() or self._held is not None:
             return 0
         ahead_s = self.timeline.ahead_s(key.segment, key.ticks * self._tick_s)
         intervals = ahead_s / interval_s
@@ -368,9 +448,9 @@ class Decoder:
         """The frames at the end that never came."""
         lost = sorted(self._waiting.values())
         for one in lost if self._one_a_packet else lost[: self._damage]:
-            yield self._lose(self._seconds(one))
+            yield from self._placed(one, None)
         self._waiting.clear()
-
-    def _lose(self, seconds: float) -> Decoded:
-        self._lost.append(self.frames)
-        return Decoded(seconds, None)
+        if self._held is not None:
+            key, picture = self._held
+            self._held = None
+            yield self._frame(self._seconds(key), picture)
