@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.formats import _files
+from sightline.formats._log_table import is_log_table, plain, read_log_table
 from sightline.formats._sentences import ReceptionClock, Sentence, SentenceReader
 from sightline.formats.nmea import TIMED_KINDS, read_timed
 from sightline.synchronisation import LARGEST_GAP_S, spread_times
@@ -27,6 +28,7 @@ _NO_DEVIATION = "magnetic headings (HDG, HDM), whose deviation and variation are
 # A log that pauses has too few headings for its time.
 _PAUSE = 1.5
 _ALMOST_ALL = 0.9
+_EMPTY = ("", "na", "n/a", "nan", "none", "null")
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,8 @@ class _Heading:
 def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Headings | None:
     """The headings that a log holds beside its places; None where it holds none.
 
-    A CSV table has them in the column ``heading_deg``; empty cells are left out. In NMEA 0183 they
+    A table has them in a column ``heading_deg`` (or ``true_heading``); empty cells are left out. In
+    NMEA 0183 they
     are HDT and THS (of mode A or E), and HDG with both deviation and variation, where there are
     none of these. They have no time. Where the logger wrote when it received each sentence, that
     tells it; otherwise those between two fixes share the time between them: a log that begins with
@@ -59,7 +62,7 @@ def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -
         InputError: A cell is no number, or the times of the headings do not increase.
     """
     own = Tally(path) if tally is None else tally
-    if "time_utc" in _files.beginning(path).split("\n", 1)[0]:
+    if is_log_table(_files.beginning(path)):
         found = _in_table(path)
     else:
         found = _in_sentences(path, own)
@@ -71,14 +74,16 @@ def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -
 
 
 def _in_table(path: str | os.PathLike[str]) -> Headings | None:
-    (rows,) = _files.table(path, required=("time_utc",))
-    if "heading_deg" not in rows:
+    table = read_log_table(path, heading=True)
+    if table.heading is None:
         return None
-    rows = rows.dropna(subset=["heading_deg"])
-    times = _files.times(path, rows["time_utc"])
+    given = table.heading[~table.heading.str.lower().isin(_EMPTY)]
+    when = table.time[given.index].replace("", None)
+    utc = "utc" in plain(str(table.time.name))
+    times = _files.times(path, when, dated=True, zone_told=utc)
     if (np.diff(times) >= 0.0).all():
         times = spread_times(times)
-    return _headings(path, times, _files.numbers(path, rows["heading_deg"]))
+    return _headings(path, times, _files.numbers(path, given))
 
 
 def _in_sentences(path: str | os.PathLike[str], tally: Tally) -> Headings | None:
