@@ -66,8 +66,9 @@ __all__ = [
 T = TypeVar("T")
 
 _CHUNK_ROWS = 100_000
-_AIS = re.compile(r"![A-Z]{2}VD[MO],\d")
-_NMEA = re.compile(r"\$[A-Z]{2}(RMC|GGA|ZDA),")
+_AIS = re.compile(r"![A-Z][A-Z0-9]VD[MO],\d")
+_PLACE = re.compile(r"\$(?!P)[A-Z][A-Z0-9](?:RMC|GGA|GNS|GLL),")
+_NMEA = re.compile(r"[$!](?!P)[A-Z][A-Z0-9][A-Z]{3},")
 
 
 class TrackWriter(Protocol):
@@ -125,8 +126,8 @@ def read_fixes(
 ) -> Fixes:
     """The log of one vessel or vehicle: GPX, NMEA 0183, AIS or CSV.
 
-    What is in the file decides: XML is GPX; ``$..RMC`` and ``$..GGA`` sentences are the log of a
-    receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
+    What is in the file decides: XML is GPX; ``$..RMC``, ``GGA``, ``GNS`` and ``GLL`` sentences are
+    the log of a receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
     ``time_utc,latitude_deg,longitude_deg``, or what other programs call them. A log with both kinds
     of sentences is read as AIS if an MMSI is given. Fixes that cannot be true are left out and
     counted; see `sightline.plausibility`.
@@ -141,19 +142,21 @@ def read_fixes(
             that decrease or places off the earth; or several vessels and none is chosen.
     """
     head = _files.beginning(path)
-    if _AIS.search(head) and (mmsi is not None or not _NMEA.search(head)):
-        return read_ais_vessel(path, mmsi)
+    sentences = bool(_NMEA.search(head))
+    # A log of many hours may begin with the receiver on board, and come to others later.
+    if sentences and (mmsi is not None or _only_ais(head)):
+        return read_ais_vessel(path, mmsi, tally=tally)
     if mmsi is not None:
         raise InputError(f"{path}: holds no AIS sentence, so no vessel can be chosen by its MMSI")
-    if _NMEA.search(head):
-        return read_nmea(path)
+    if sentences:
+        return read_nmea(path, tally=tally)
     if head.lstrip("\ufeff \t\r\n").startswith("<") or Path(path).suffix.lower() == ".gpx":
         return read_gpx(path, tally=tally)
     if Path(path).suffix.lower() == ".csv" or is_log_table(head):
         return read_fixes_csv(path, tally=tally)
     raise InputError(
-        f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC or GGA), AIS (!AIVDM) or "
-        "a table with time_utc,latitude_deg,longitude_deg"
+        f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC, GGA, GNS or GLL), AIS "
+        "(!AIVDM) or a table with time_utc,latitude_deg,longitude_deg"
     )
 
 
@@ -163,8 +166,11 @@ def holds_ais(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: The file is missing or cannot be read.
     """
-    head = _files.beginning(path)
-    return bool(_AIS.search(head)) and not _NMEA.search(head)
+    return _only_ais(_files.beginning(path))
+
+
+def _only_ais(head: str) -> bool:
+    return bool(_AIS.search(head)) and not _PLACE.search(head)
 
 
 def write_fixes(fixes: Fixes, path: str | os.PathLike[str]) -> None:

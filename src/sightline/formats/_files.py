@@ -23,6 +23,7 @@ from sightline.types import BoolArray, Fixes, FloatArray, StrArray
 _logger = logging.getLogger(__name__)
 
 _SNIFFED_BYTES = 65536
+_SENTENCE = re.compile(rb"[$!][A-Z]{5},[0-9A-Z.,*-]{6}")
 # What pandas takes for an empty cell of a column of numbers.
 _MISSING = (
     *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
@@ -67,7 +68,8 @@ def beginning(path: str | os.PathLike[str]) -> str:
             f"{path}: is a compressed file or a spreadsheet; unpack it, or save as text"
         )
     encoding = text_encoding(head)
-    if b"\0" in head and not encoding.startswith("utf-16"):
+    # A logger that lost power leaves zeros among its sentences.
+    if b"\0" in head and not encoding.startswith("utf-16") and not _SENTENCE.search(head):
         raise InputError(f"{path}: is not text; expected a log or a table")
     return head.decode(encoding, errors="replace").lstrip("\ufeff")
 
@@ -109,7 +111,10 @@ def log_lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
     Bytes that are no text become question marks: noise on a serial line spoils a sentence, whose
     checksum tells, and not the log.
     """
-    with existing(path).open(encoding="ascii", errors="replace") as file:
+    with existing(path).open("rb") as file:
+        encoding = text_encoding(file.read(_SNIFFED_BYTES))
+    encoding = encoding if encoding.startswith("utf-16") else "ascii"
+    with existing(path).open(encoding=encoding, errors="replace") as file:
         yield from enumerate(file, start=1)
 
 

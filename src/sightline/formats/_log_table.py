@@ -46,6 +46,8 @@ _LONGITUDES = _names(
     "longitudee7 lone7 lnge7 longitudee6 lone6 lnge6",
 )
 _HEMISPHERES = _names("ns northsouth latns nsindicator", "ew eastwest lonew ewindicator")
+# What programs call a heading alone is often the course over ground.
+_HEADINGS = ("headingdeg", "headingtrue", "headingtruedeg", "trueheading", "trueheadingdeg", "hdt")
 _ANY_TIME = frozenset((*sum(_TIMES, ()), *_DATES, *_LOCAL))
 _ANY_LATITUDE, _ANY_LONGITUDE = frozenset(sum(_LATITUDES, ())), frozenset(sum(_LONGITUDES, ()))
 
@@ -70,6 +72,7 @@ class LogTable:
         longitude: Text.
         places: What the file calls latitude and longitude.
         cut_short: Lines that end before their last column.
+        heading: Text of the true heading; None where there is no such column, or none is asked for.
     """
 
     time: pd.Series
@@ -77,6 +80,7 @@ class LogTable:
     longitude: pd.Series
     places: tuple[str, str]
     cut_short: tuple[int, ...]
+    heading: pd.Series | None = None
 
 
 def plain(name: str) -> str:
@@ -89,11 +93,15 @@ def is_log_table(head: str) -> bool:
     return _header(head.splitlines()) is not None
 
 
-def read_log_table(path: str | os.PathLike[str]) -> LogTable:
+def read_log_table(path: str | os.PathLike[str], *, heading: bool = False) -> LogTable:
     """The time and the place in each row of a table, whatever its program calls them.
 
     Columns are parted by commas, semicolons, tabs or bars. Lines before the header, and those that
     begin with ``#``, ``//`` or ``%``, are passed over.
+
+    Args:
+        path: The file.
+        heading: Whether a heading is asked for as well.
 
     Raises:
         InputError: The file is too large or no text, a column is missing or may be one of
@@ -108,6 +116,9 @@ def read_log_table(path: str | os.PathLike[str]) -> LogTable:
     rows = _rows(path, lines, number, delimiter)
     names = next(row for _, row in rows)
     columns = _columns(path, names)
+    which = [i for i, name in enumerate(map(plain, names)) if heading and name in _HEADINGS]
+    if which:
+        columns["heading"] = which[0]
     cells: dict[str, list[str]] = {key: [] for key in columns}
     index, cut_short = [], []
     for line, row in rows:
@@ -134,6 +145,7 @@ def read_log_table(path: str | os.PathLike[str]) -> LogTable:
         longitude=_with_hemisphere(table, "longitude", "ew"),
         places=(names[columns["latitude"]].strip(), names[columns["longitude"]].strip()),
         cut_short=tuple(cut_short),
+        heading=table["heading"].rename(names[which[0]].strip()) if which else None,
     )
 
 
