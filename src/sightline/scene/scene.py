@@ -383,6 +383,36 @@ class Scene:
         )
 
 
+def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
+    """The files that a scene file names: those that are there, and a sentence on each other.
+
+    Args:
+        path: The scene file.
+
+    Raises:
+        InputError: It is missing itself, no TOML, or has a key or a value that cannot stand there.
+    """
+    table = parse_scene_table(Path(path))
+    base = Path(path).parent
+    named = [
+        (f"recordings[{i}].{key}", written, key == "frames")
+        for i, recording in enumerate(table.recordings, start=1)
+        for key in _FILES
+        if (written := getattr(recording, key)) is not None
+    ]
+    if isinstance(table.control_points, str):
+        named.append(("control_points", table.control_points, False))
+    there: dict[Path, None] = {}
+    missing = []
+    for key, written, folder in named:
+        try:
+            _check_there(Path(path), key, base / written, folder)
+            there[base / written] = None
+        except InputError as error:
+            missing.append(str(error))
+    return list(there), missing
+
+
 # Recordings share their logs, which are long.
 @lru_cache(maxsize=32)
 def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
