@@ -138,6 +138,8 @@ def _in_child(call: Callable[[], object], limits: Limits, writing: int) -> None:
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - ends with us
         sys.stderr = open(2, "w", errors="backslashreplace", closefd=False)  # noqa: SIM115
         faulthandler.enable(writing)
+        # What hangs says where before it is ended.
+        faulthandler.dump_traceback_later(0.9 * limits.seconds, file=writing)
         _limit_memory(limits)
         seen = _watch()
         end, detail = _ended(call)

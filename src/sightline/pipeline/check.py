@@ -183,7 +183,7 @@ def check(what: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]) -> Ch
         >>> report.problems, [one.name for one in report.recordings]
         ([], ['01', '02', '03'])
         >>> print(report.recordings[0].said)  # doctest: +ELLIPSIS
-        60 boxes in 60 frames (60 by annotator), at ...
+        58 boxes in 58 frames (58 by annotator), at ...
     """
     paths = [Path(what)] if isinstance(what, str | os.PathLike) else [Path(one) for one in what]
     if len(paths) == 1 and paths[0].suffix.lower() == ".toml":

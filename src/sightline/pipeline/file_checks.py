@@ -352,7 +352,7 @@ def check_video(
             times = np.asarray(clock.time_utc_s(np.arange(seconds.size)))
         describe_times(check, times, seconds if times is None else times, told)
         if clock is None and start_utc_s is None and info.creation_utc_s is not None:
-            check.warn(
+            check.tally.note(
                 f"is taken to begin at {utc_text(info.creation_utc_s)}, the creation time that it "
                 "says; some cameras write when they stopped, or local time: give start_utc"
             )
