@@ -219,11 +219,24 @@ def _detect(path: Path, _: Path) -> None:
     _run("detect", path, "--detector", "motion", "-o", path.with_name("found.csv"))
 
 
+def _check(path: Path, _: Path) -> None:
+    result = path.with_name("check.json")
+    try:
+        _run("check", path, "--json", result)
+    finally:
+        if result.exists():
+            json.loads(result.read_text(encoding="utf-8"), parse_constant=_no_number)
+
+
 def _fit(path: Path, _: Path) -> None:
     _run("fit", path, "-o", path.with_name("made.safetensors"))
 
 
 _VIDEOS = ("clip.mp4", "clip.mov", "clip.mkv", "clip.avi", "clip.webm", "clip.ts")
+_OF_ALL_KINDS = (
+    *("still/target.gpx", "log.nmea", "feed.nmea", "log.csv", "still/boxes/01.csv", "boxes.txt"),
+    *("clock.csv", "levels.csv", "points.csv", "points.otrfpts", "tracks.geojson", "tracks.csv"),
+)
 _PICTURES = tuple(f"picture-0.{ending}" for ending in ("jpg", "png", "tif", "webp", "bmp"))
 _MODELS = tuple(f"{name}.safetensors" for name in ("camera-gpr", "qkr-gpr", "nn", "qkr"))
 
@@ -261,6 +274,8 @@ READERS: tuple[Reader, ...] = (
     Reader("command: evaluate, tracks", _evaluate_tracks, ("tracks.geojson",), JSON, 3),
     Reader("command: evaluate, log", _evaluate_log, ("still/target.gpx", "log.csv"), TEXT, 2),
     Reader("command: detect", _detect, _VIDEOS[:3], BYTES, 2),
+    Reader("command: check, texts", _check, _OF_ALL_KINDS, TABLE, 3),
+    Reader("command: check, videos", _check, _VIDEOS, BYTES, 1),
     Reader("command: fit", _fit, ("points.toml",), TOML, 2),
 )
 """All of them."""

@@ -37,6 +37,9 @@ _FILES = (
 )
 
 
+_LONGEST_PATH = 400
+
+
 @dataclass(frozen=True)
 class CameraSite:
     """Position of the camera, as far as it is known, and the size of its image.
@@ -473,7 +476,10 @@ def _recording(
 def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:
     # os.path answers where pathlib raises: for a name that is too long, or a folder that is closed.
     if not os.path.exists(path):
-        raise InputError(f"{scene}: {key} names {path}, which does not exist")
+        named = str(path)
+        if len(named) > _LONGEST_PATH:
+            named = f"{named[:_LONGEST_PATH]}..."
+        raise InputError(f"{scene}: {key} names {named}, which does not exist")
     if os.path.isdir(path) != folder:
         raise InputError(
             f"{scene}: {key} names {path}, which is a {'file' if folder else 'folder'}; "
