@@ -328,13 +328,14 @@ class _Network:
         self._session = _session(where, options)
         self.provider = _provider(where, self._session, options.provider)
         try:
-            inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
+            inputs = self._session.get_inputs()
+            pictures = [one for one in inputs if one.name != _SIZES_INPUT]
+            self.output_names = tuple(one.name for one in self._session.get_outputs())
             told = self._session.get_modelmeta().custom_metadata_map or {}
         except UnicodeDecodeError as error:
             raise InputError(
                 f"{where}: a name in it is not text in UTF-8 ({error.reason}); export it again"
             ) from error
-        pictures = [one for one in inputs if one.name != _SIZES_INPUT]
         if len(pictures) != 1 or len(pictures[0].shape) not in (3, 4):
             given = ", ".join(f"{one.name} {list(one.shape)} {one.type}" for one in inputs)
             raise InputError(
@@ -359,7 +360,6 @@ class _Network:
         )
         batch = shape[0] if self._has_batch else 1
         self.batch: int | None = batch if _whole(batch) else None
-        self.output_names = tuple(one.name for one in outputs)
         self.properties: dict[str, str] = dict(told)
         self.form = InputFormat()
 

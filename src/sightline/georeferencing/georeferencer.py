@@ -384,7 +384,10 @@ def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) 
 def _try_out(model: Georeferencer) -> None:
     """Locate boxes, which go through all that was stored: parts of other shapes show here."""
     width, height = model.image_size_px
-    boxes = [[0.4 * width, 0.7 * height, 0.5 * width, 0.8 * height], [0.0, 0.0, width, height]]
+    # Of as many that their number is that of no part, so that nothing fits by chance.
+    left = np.linspace(0.0, 0.8, 7) * width
+    row = np.full(left.size, 0.7 * height)
+    boxes = np.column_stack([left, row, left + 0.1 * width, row + 0.1 * height])
     with np.errstate(all="ignore"):
         if model.moving:
             model.locate_body(boxes)
