@@ -13,6 +13,7 @@ from rich.markup import escape
 
 from sightline import __version__
 from sightline.cli import common
+from sightline.cli.check import check
 from sightline.cli.compare import compare
 from sightline.cli.demo import demo
 from sightline.cli.detect import detect
@@ -38,7 +39,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, fit, compare, track, evaluate, detect, simulate):
+for command in (demo, check, run, fit, compare, track, evaluate, detect, simulate):
     app.command()(command)
 app.add_typer(detector)
 

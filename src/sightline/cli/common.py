@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from sightline.errors import InputError, no_model_file, no_scene_file
@@ -48,6 +49,11 @@ class Settings:
 def say(line: str = "") -> None:
     """Print a line without wrapping it."""
     stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+
+
+def warn(line: str) -> None:
+    """Print a warning to standard error, without wrapping it."""
+    stderr.print(f"[bold yellow]warning:[/] {escape(line)}", soft_wrap=True, highlight=False)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline.cli.check import refuse_problems
 from sightline.cli.common import (
     check_scene_is_there,
     describe,
@@ -14,6 +15,7 @@ from sightline.cli.common import (
     keep_apart,
     progress,
     say,
+    warn,
     write_result,
 )
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_MODEL, DEFAULT_TRAJECTORY
@@ -46,12 +48,17 @@ def run(
     """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene])
     check_scene_is_there(scene)
+    from sightline.pipeline.check import check_scene
     from sightline.pipeline.run import run as run_scene
     from sightline.pipeline.track import TrackSettings
     from sightline.reporting.run_report import write_run
     from sightline.scene import Scene
 
     loaded = Scene.load(scene)
+    checked = check_scene(loaded, every_picture=False)
+    for line in checked.warnings:
+        warn(line)
+    refuse_problems(checked)
     with folder_for_results(output) as folder, progress() as tell:
         result = run_scene(
             loaded,

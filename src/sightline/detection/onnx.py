@@ -33,6 +33,7 @@ DEFAULT_THRESHOLD = 0.25
 
 _MOST_CANDIDATES = 3000
 _LARGEST_PX = 16384
+_MOST_PX = 2**25
 _DUMMY_PX = 320
 _SIZES_INPUT = "orig_target_sizes"
 _TYPES = {
@@ -326,8 +327,15 @@ class _Network:
         self._where = where
         self._session = _session(where, options)
         self.provider = _provider(where, self._session, options.provider)
-        inputs = self._session.get_inputs()
-        pictures = [one for one in inputs if one.name != _SIZES_INPUT]
+        try:
+            inputs = self._session.get_inputs()
+            pictures = [one for one in inputs if one.name != _SIZES_INPUT]
+            self.output_names = tuple(one.name for one in self._session.get_outputs())
+            told = self._session.get_modelmeta().custom_metadata_map or {}
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"{where}: a name in it is not text in UTF-8 ({error.reason}); export it again"
+            ) from error
         if len(pictures) != 1 or len(pictures[0].shape) not in (3, 4):
             given = ", ".join(f"{one.name} {list(one.shape)} {one.type}" for one in inputs)
             raise InputError(
@@ -352,10 +360,7 @@ class _Network:
         )
         batch = shape[0] if self._has_batch else 1
         self.batch: int | None = batch if _whole(batch) else None
-        self.output_names = tuple(one.name for one in self._session.get_outputs())
-        self.properties: dict[str, str] = dict(
-            self._session.get_modelmeta().custom_metadata_map or {}
-        )
+        self.properties: dict[str, str] = dict(told)
         self.form = InputFormat()
 
     def prepare(self, form: InputFormat) -> None:
@@ -371,6 +376,12 @@ class _Network:
             raise InputError(
                 f"{self._where}: takes pictures of {self.input_px[0]} x {self.input_px[1]} px; "
                 f"expected 1 to {_LARGEST_PX} px a side"
+            )
+        shown_px = self.input_px or (_DUMMY_PX, _DUMMY_PX)
+        if (self.batch or 1) * shown_px[0] * shown_px[1] > _MOST_PX:
+            raise InputError(
+                f"{self._where}: takes {self.batch} pictures of {shown_px[0]} x {shown_px[1]} px "
+                "at once, more than the memory holds; export it for a batch of one"
             )
         side = -(-_DUMMY_PX // form.stride) * form.stride
         self.dummy_px: tuple[int, int] = self.input_px or (side, side)

@@ -374,9 +374,26 @@ def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) 
     """
     content, tensors = read_model_file(path)
     try:
-        return _build(content, tensors, model)
+        built = _build(content, tensors, model)
+        _try_out(built)
     except (*_DAMAGE, SightlineError) as error:
         raise damaged(path, error) from error
+    return built
+
+
+def _try_out(model: Georeferencer) -> None:
+    """Locate boxes, which go through all that was stored: parts of other shapes show here."""
+    width, height = model.image_size_px
+    # Of as many that their number is that of no part, so that nothing fits by chance.
+    left = np.linspace(0.0, 0.8, 7) * width
+    row = np.full(left.size, 0.7 * height)
+    boxes = np.column_stack([left, row, left + 0.1 * width, row + 0.1 * height])
+    with np.errstate(all="ignore"):
+        if model.moving:
+            model.locate_body(boxes)
+        else:
+            known = model.camera is not None and model.water_level_m is not None
+            model.locate(boxes, water_level_m=model.water_level_m if known else None)
 
 
 def _build(

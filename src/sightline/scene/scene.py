@@ -38,6 +38,9 @@ _FILES = (
 )
 
 
+_LONGEST_PATH = 400
+
+
 @dataclass(frozen=True)
 class CameraSite:
     """Position of the camera, as far as it is known, and the size of its image.
@@ -397,6 +400,36 @@ class Scene:
         )
 
 
+def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
+    """The files that a scene file names: those that are there, and a sentence on each other.
+
+    Args:
+        path: The scene file.
+
+    Raises:
+        InputError: It is missing itself, no TOML, or has a key or a value that cannot stand there.
+    """
+    table = parse_scene_table(Path(path))
+    base = Path(path).parent
+    named = [
+        (f"recordings[{i}].{key}", written, key == "frames")
+        for i, recording in enumerate(table.recordings, start=1)
+        for key in _FILES
+        if (written := getattr(recording, key)) is not None
+    ]
+    if isinstance(table.control_points, str):
+        named.append(("control_points", table.control_points, False))
+    there: dict[Path, None] = {}
+    missing = []
+    for key, written, folder in named:
+        try:
+            _check_there(Path(path), key, base / written, folder)
+            there[base / written] = None
+        except InputError as error:
+            missing.append(str(error))
+    return list(there), missing
+
+
 # Recordings share their logs, which are long.
 @lru_cache(maxsize=32)
 def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
@@ -458,7 +491,10 @@ def _recording(
 def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:
     # os.path answers where pathlib raises: for a name that is too long, or a folder that is closed.
     if not os.path.exists(path):
-        raise InputError(f"{scene}: {key} names {path}, which does not exist")
+        named = str(path)
+        if len(named) > _LONGEST_PATH:
+            named = f"{named[:_LONGEST_PATH]}..."
+        raise InputError(f"{scene}: {key} names {named}, which does not exist")
     if os.path.isdir(path) != folder:
         raise InputError(
             f"{scene}: {key} names {path}, which is a {'file' if folder else 'folder'}; "
