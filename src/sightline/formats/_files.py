@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,18 +12,18 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
+from sightline.text import xml_text as xml_text
 from sightline.types import BoolArray, Fixes, FloatArray, StrArray, from_datetime64
 
 _SNIFFED_BYTES = 65536
 # What pandas takes for an empty cell of a column of numbers.
-_MISSING = (
+MISSING = (
     *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
 _NO_INT64 = 2.0**63
 # What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
 _FIRST_TIME, _LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
-_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -103,7 +102,7 @@ def table(
             chunksize=chunk_rows or 2**62,
             dtype=dict.fromkeys(spoken, str),
             keep_default_na=False,
-            na_values={name: [""] if name in spoken else list(_MISSING) for name in header},
+            na_values={name: [""] if name in spoken else list(MISSING) for name in header},
             low_memory=False,
             **form,
         )
@@ -182,9 +181,18 @@ def shortened(text: str, most: int = 80) -> str:
 
 def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
     """A column as float64; what is not a finite number is refused by its line."""
-    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
+    values = floats(column)
     refuse(path, column.index, ~np.isfinite(values), column, f"is no number ({column.name})")
     return values
+
+
+def floats(column: pd.Series) -> FloatArray:
+    """A column as float64, NaN for what is no number; integers beyond float64 are infinite."""
+    try:
+        return pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    except OverflowError:
+        texts = column.astype(str)
+        return pd.to_numeric(texts, errors="coerce").to_numpy(dtype=np.float64, copy=True)
 
 
 def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np.int64]:
@@ -207,7 +215,7 @@ def times(
         missing_allowed: Whether a cell may be empty; it becomes NaN.
     """
     empty = column.isna().to_numpy()
-    seconds = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    seconds = floats(column)
     written = np.isnan(seconds) & ~empty
     if written.any():
         parsed = pd.to_datetime(column[written], utc=True, format="ISO8601", errors="coerce")
@@ -273,11 +281,6 @@ def fixes(
             "the times of a log must not decrease"
         )
     return Fixes(when, latitude, longitude, name=name)
-
-
-def xml_text(text: str) -> str:
-    """A text without the control characters that no XML file can hold."""
-    return _NOT_IN_XML.sub("\ufffd", text)
 
 
 def milliseconds(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:
