@@ -53,7 +53,7 @@ def _shown(character: str) -> bool:
     return character == "\n" or character.isprintable() or unicodedata.category(character) == "Zs"
 
 
-def figure_text(text: str, most: int = 80) -> str:
+def figure_text(text: str, most: int = 40) -> str:
     """A text as a figure can show it: on one line, shortened, and without control characters."""
     line = " ".join(xml_text(text).split())
     return line if len(line) <= most else f"{line[: most - 1]}\N{HORIZONTAL ELLIPSIS}"

@@ -220,7 +220,11 @@ HEAD = "frame,x1,y1,x2,y2\n"
         ("a.csv", "\x89PNG\0\0", "is not text"),
         ("a.txt", "", "is empty"),
         ("a.txt", "1,1,2,3\n", "has 4 columns; a MOTChallenge file has at least six"),
-        ("a.txt", "-2,1,0,0,5,5,1,-1,-1,-1\n", "line 1: -2 is no frame; MOTChallenge counts from 1"),
+        (
+            "a.txt",
+            "-2,1,0,0,5,5,1,-1,-1,-1\n",
+            "line 1: -2 is no frame; MOTChallenge counts from 1",
+        ),
         ("a.txt", "1,1,0,0,5,-5,1,-1,-1,-1\n", "line 1: the box 0,0,5,-5 is empty or reversed"),
         ("a.txt", "1,1,0,0,5,5,130.5,-1,-1,-1\n", "130.5 is no confidence between 0 and 1"),
         ("a.txt", "frame,id,left,top,w\n1,1,0,0,5\n", "lacks the columns x2, y2"),

@@ -296,7 +296,11 @@ HUGE = "1" + "0" * 400
         ("a.txt", f"{HUGE},1,1,2,3,4,1\n", r"line 1: 10{60}.* is no number"),
         ("a.csv", f"frame,x1,y1,x2,y2\n1,{HUGE},2,3,4\n", "is no number"),
         ("a.csv", f"frame,x1,y1,x2,y2,track_id\n1,1,2,3,4,{HUGE}\n", "is no number"),
-        ("a.csv", "frame,x1,y1,x2,y2\n" + "0,nan,nan,nan,nan\n" * 3, "none of its 3 rows is of use"),
+        (
+            "a.csv",
+            "frame,x1,y1,x2,y2\n" + "0,nan,nan,nan,nan\n" * 3,
+            "none of its 3 rows is of use",
+        ),
         ("a.txt", "1,1,5,5,5,5,0,1,0.5\n" * 3, "none of its 3 rows is of use: 3 marked as not"),
         ("a.txt", "0 0 Car 0 0 -1.79 296.7 161.7 455.2 292.3\n", "has no header, and 'Car'"),
         ("a.csv", "image,xmin,ymin,xmax,ymax\na.jpg,1,2,3,4\n", "lacks the column frame"),

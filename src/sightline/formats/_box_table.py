@@ -290,7 +290,9 @@ def _scale_px(
             "y by its height, both in pixels"
         )
     width, height = image_size_px
-    tally.note(f"its coordinates are shares of the picture and were multiplied by {width}, {height}")
+    tally.note(
+        f"its coordinates are shares of the picture and were multiplied by {width}, {height}"
+    )
     return float(width), float(height)
 
 
@@ -299,7 +301,7 @@ def _percent_px(
 ) -> tuple[float, float]:
     """As `_scale_px`, where the coordinates may be percents: many, and none beyond 100."""
     least, greatest = survey.extent.least, survey.extent.greatest
-    if not (0.0 <= least and 50.0 < greatest <= 100.0) or survey.boxes < _FEWEST_TO_JUDGE:
+    if not (least >= 0.0 and 50.0 < greatest <= 100.0) or survey.boxes < _FEWEST_TO_JUDGE:
         return 1.0, 1.0
     if image_size_px is None:
         tally.note(
@@ -335,7 +337,7 @@ def _confidence_scale(path: str | os.PathLike[str], span: _Span, tally: Tally) -
         return 0.0
     if span.least >= 0.0 and span.greatest <= 1.0 + _ROUNDING:
         return 1.0
-    if 0.0 <= span.least and span.greatest <= 100.0 and span.large >= 0.5 * span.count:
+    if span.least >= 0.0 and span.greatest <= 100.0 and span.large >= 0.5 * span.count:
         tally.note("its confidences are percents and were divided by 100")
         return 0.01
     if span.count >= _FEWEST_TO_JUDGE:

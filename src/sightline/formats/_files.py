@@ -23,7 +23,7 @@ MISSING = (
 )
 _NO_INT64 = 2.0**63
 # What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
-_FIRST_TIME, _LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
+FIRST_TIME, LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -179,10 +179,11 @@ def shortened(text: str, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
+def numbers(path: str | os.PathLike[str], column: pd.Series, *, row: str = "line") -> FloatArray:
     """A column as float64; what is not a finite number is refused by its line."""
     values = floats(column)
-    refuse(path, column.index, ~np.isfinite(values), column, f"is no number ({column.name})")
+    bad = ~np.isfinite(values)
+    refuse(path, column.index, bad, column, f"is no number ({column.name})", row=row)
     return values
 
 
@@ -195,17 +196,24 @@ def floats(column: pd.Series) -> FloatArray:
         return pd.to_numeric(texts, errors="coerce").to_numpy(dtype=np.float64, copy=True)
 
 
-def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np.int64]:
+def whole_numbers(
+    path: str | os.PathLike[str], column: pd.Series, *, row: str = "line"
+) -> NDArray[np.int64]:
     """A column as int64; what is not a whole number is refused by its line."""
-    values = numbers(path, column)
-    refuse(path, column.index, values % 1 != 0, column, f"is no whole number ({column.name})")
+    values = numbers(path, column, row=row)
+    bad = values % 1 != 0
+    refuse(path, column.index, bad, column, f"is no whole number ({column.name})", row=row)
     far = np.abs(values) >= _NO_INT64
-    refuse(path, column.index, far, column, f"is too large a number ({column.name})")
+    refuse(path, column.index, far, column, f"is too large a number ({column.name})", row=row)
     return values.astype(np.int64)
 
 
 def times(
-    path: str | os.PathLike[str], column: pd.Series, *, missing_allowed: bool = False
+    path: str | os.PathLike[str],
+    column: pd.Series,
+    *,
+    missing_allowed: bool = False,
+    row: str = "line",
 ) -> FloatArray:
     """A column of ISO 8601 times (UTC where they name no zone) or POSIX seconds as POSIX seconds.
 
@@ -213,6 +221,7 @@ def times(
         path: The file, for the message.
         column: Text or numbers; its index is the line.
         missing_allowed: Whether a cell may be empty; it becomes NaN.
+        row: What its index counts.
     """
     empty = column.isna().to_numpy()
     seconds = floats(column)
@@ -221,10 +230,10 @@ def times(
         parsed = pd.to_datetime(column[written], utc=True, format="ISO8601", errors="coerce")
         stamps = parsed.dt.tz_localize(None).to_numpy()
         stamps = np.where(
-            (stamps > _FIRST_TIME) & (stamps < _LAST_TIME), stamps, np.datetime64("NaT")
+            (stamps > FIRST_TIME) & (stamps < LAST_TIME), stamps, np.datetime64("NaT")
         )
         seconds[written] = from_datetime64(stamps)
-    first_s, last_s = from_datetime64([_FIRST_TIME, _LAST_TIME])
+    first_s, last_s = from_datetime64([FIRST_TIME, LAST_TIME])
     known = (seconds > first_s) & (seconds < last_s)
     bad = ~known & ~(empty & missing_allowed)
     refuse(
@@ -233,6 +242,7 @@ def times(
         bad,
         column,
         f"is no time ({column.name}); expected ISO 8601, as 2020-09-30T19:36:24Z, or POSIX seconds",
+        row=row,
     )
     return seconds
 
