@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -174,6 +175,10 @@ def _chunks(
 ) -> Iterator[pd.DataFrame]:
     """Rows by the number of their columns; the index is the line."""
     texts = {form.places[role] for role in _TEXT_ROLES if role in form.places}
+    # Somebody may be called "nan" or "NA".
+    missing: dict[Any, list[str]] = {
+        i: [""] if i in texts else list(_files.MISSING) for i in range(form.columns)
+    }
     try:
         reader = pd.read_csv(
             path,
@@ -190,10 +195,7 @@ def _chunks(
             chunksize=chunk_rows,
             dtype=dict.fromkeys(texts, str),
             keep_default_na=False,
-            # Somebody may be called "nan" or "NA".
-            na_values={
-                i: [""] if i in texts else list(_files.MISSING) for i in range(form.columns)
-            },
+            na_values=missing,
             low_memory=False,
         )
         with reader:
@@ -447,7 +449,8 @@ def _corners(
         first, second = first - 0.5 * third, second - 0.5 * fourth
     if form.extent != "corners" and not meaning.corners:
         third, fourth = first + third, second + fourth
-    return np.column_stack([first, second, third, fourth]) * np.tile(meaning.scale_px, 2)
+    four = np.column_stack([first, second, third, fourth])
+    return np.asarray(four * np.tile(meaning.scale_px, 2))
 
 
 def _with_a_box(
@@ -462,19 +465,35 @@ def _with_a_box(
     known = np.isfinite(size).all(axis=1)
     backwards = known & (size < 0.0).any(axis=1)
     empty = known & ~backwards & (size == 0.0).any(axis=1)
-    refused = backwards | empty
-    if refused.any() and not meaning.tolerant:
-        i = int(np.argmax(refused))
-        raise InputError(
-            f"{path}, line {lines[i]}: the box {','.join(f'{v:g}' for v in xyxy_px[i])} is empty "
-            "or reversed; expected x1 < x2 and y1 < y2 (upper left corner, lower right corner)"
-        )
+    if not meaning.tolerant:
+        refuse_empty(path, lines, xyxy_px)
     for bad, reason in ((~known, NOT_A_NUMBER), (backwards, REVERSED), (empty, NO_SIZE)):
         if bad.any():
             i = int(np.argmax(bad))
             text = ",".join(f"{v:g}" for v in xyxy_px[i])
             tally.leave_out(reason, int(bad.sum()), row=f"line {lines[i]}", text=text)
-    return known & ~refused
+    kept: BoolArray = known & ~backwards & ~empty
+    return kept
+
+
+def refuse_empty(path: str | os.PathLike[str], lines: pd.Index, xyxy_px: FloatArray) -> None:
+    """Raise InputError for a box without width or height, or with reversed corners.
+
+    Args:
+        path: The file.
+        lines: (N,) numbers of the lines.
+        xyxy_px: (N, 4) pixels.
+
+    Raises:
+        InputError: As said; names the first line.
+    """
+    refused = (xyxy_px[:, 2:] <= xyxy_px[:, :2]).any(axis=1)
+    if refused.any():
+        i = int(np.argmax(refused))
+        raise InputError(
+            f"{path}, line {lines[i]}: the box {','.join(f'{v:g}' for v in xyxy_px[i])} is empty "
+            "or reversed; expected x1 < x2 and y1 < y2 (upper left corner, lower right corner)"
+        )
 
 
 def _whole(

@@ -16,10 +16,10 @@ import pandas as pd
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats._box_table import iter_box_table
+from sightline.formats._box_table import iter_box_table, refuse_empty
 from sightline.tally import Tally
 from sightline.text import cell_text, text_of_cell
-from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes, FloatArray
+from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes
 
 _logger = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ def targets(path: str | os.PathLike[str], rows: pd.DataFrame) -> BoolArray:
 def boxes_of_rows(path: str | os.PathLike[str], rows: pd.DataFrame) -> Boxes:
     """Boxes of the rows of a table of labels, whose index is the line."""
     xyxy = np.column_stack([_files.numbers(path, rows[name]) for name in _CORNERS])
-    _check_boxes(path, rows.index, xyxy)
+    refuse_empty(path, rows.index, xyxy)
     frame = time = confidence = track = None
     if "frame" in rows:
         frame = _files.whole_numbers(path, rows["frame"])
@@ -121,16 +121,6 @@ def _text(rows: pd.DataFrame, column: str) -> list[str] | str:
     if column not in rows:
         return ""
     return [text_of_cell(cell) for cell in rows[column].fillna("").astype(str).str.strip()]
-
-
-def _check_boxes(path: str | os.PathLike[str], lines: pd.Index, xyxy_px: FloatArray) -> None:
-    refused = (xyxy_px[:, 2:] <= xyxy_px[:, :2]).any(axis=1)
-    if refused.any():
-        i = int(np.argmax(refused))
-        raise InputError(
-            f"{path}, line {lines[i]}: the box {','.join(f'{v:g}' for v in xyxy_px[i])} is empty "
-            "or reversed; expected x1 < x2 and y1 < y2 (upper left corner, lower right corner)"
-        )
 
 
 def write_boxes_csv(boxes: Boxes, path: str | os.PathLike[str]) -> None:

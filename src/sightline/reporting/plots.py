@@ -467,8 +467,9 @@ def _dot(colour: str, label: str) -> Line2D:
 
 def _title(axes: Axes, name: str, fontsize: int) -> None:
     """A name of the user's as the title of a panel; a dollar sign in it is no formula."""
-    options = {"loc": "left", "fontsize": fontsize, "color": _INK}
-    axes.set_title(figure_text(name), parse_math=False, usetex=False, **options)
+    title = axes.set_title(figure_text(name), loc="left", fontsize=fontsize, color=_INK)
+    title.set_parse_math(False)
+    title.set_usetex(False)
 
 
 def _plain(legend: Legend) -> None:
