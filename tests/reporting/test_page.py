@@ -5,8 +5,12 @@ import hashlib
 import json
 import math
 import re
+import shutil
+import socket
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -511,3 +515,106 @@ def test_the_report_says_which_track_it_scored(tracks: TracksUsed, sentence: str
 def test_times_are_printed_in_utc() -> None:
     assert clock_time(START) == "2020-09-30 19:36:24 UTC"
     assert clock_time(float("nan")) == "–"
+
+
+def hostile_page(name: str) -> ReportPage:
+    """A page on which every name is the same one."""
+    return full_page(
+        name,
+        title=name,
+        scene_name=name,
+        model_name=name,
+        reports={name: summarise({name: boxes()}), f"{name}, too": summarise({name: boxes()})},
+        tracks={name: [track(label=name)], f"{name}2": [track(3, label=name)]},
+        model=[ModelRow(name, 1.0, name, 1.0)],
+        sources=[SourceRow(name, 1, 0.0, 0.0)],
+        outliers=[OutlierRow(name, None, float("nan"), name, 1.0)],
+        statements=[name],
+        warnings=[name],
+        figures=[PageFigure(name, calibration({name: boxes()}), name, name)],
+        comparison=Comparison(
+            {name: summarise({name: boxes()})}, {name: summarise({name: boxes()})}
+        ),
+    )
+
+
+NAMES = {
+    "script": HOSTILE,
+    "attribute": '"\' onload=\'alert(1)\' onerror="alert(1)" autofocus onfocus=alert(1) x="',
+    "comment": "<!--",
+    "comment in script": "<!--<script>",
+    "character data": "<![CDATA[ ]]> ]]>",
+    "style": "</style></title><style>body{background:url(http://127.0.0.1/)}</style>",
+    "entity": "&lt;img src=x onerror=alert(1)&gt;&#60;b&#62;",
+    "template": "{{ 7 * 7 }}{% for a in b %}${7*7}",
+    "svg": "<svg/onload=alert(1)><math><mtext></mtext></math>",
+    "address": "javascript:alert(1)",
+    "line separator": "a\u2028b\u2029c",
+    "control": "a\x1b[31mb\0c\x08",
+    "surrogate": "a\ud800b",
+    "long": "x" * 3000,
+}
+
+
+def outline(page: Page) -> list[tuple[str, list[str]]]:
+    return [(tag, sorted(attributes)) for tag, attributes in page.tags]
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_no_name_makes_an_element_or_an_attribute(name: str, tmp_path: Path) -> None:
+    write_page(hostile_page(name), tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    found, harmless = Page(text), Page(render_page(hostile_page("boat")))
+    assert outline(found) == outline(harmless)
+    assert found.unbalanced == []
+    assert len(found.inside["script"]) == 2
+    assert found.inside["script"][1] == harmless.inside["script"][1]
+    shown = re.sub(r"\s+", " ", re.sub("[\0-\x08\x0b\x0e-\x1f\ud800]", "\ufffd", name))
+    assert found.words.count(shown) >= 20
+    assert found.map_data["series"][0]["name"] == f"track 1, {name}"
+
+
+def chromium() -> str:
+    """A browser; the test is skipped where there is none."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome", "chromium-headless-shell")
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
+    return found
+
+
+@pytest.mark.slow
+def test_a_browser_finds_no_markup_in_names_and_fetches_nothing(tmp_path: Path) -> None:
+    """One page with all names at once: what Chromium makes of it has the elements of ours alone."""
+    browser = chromium()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.0)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        names = " ".join(NAMES.values()).replace("http://x.example/", address)
+        names = names.replace("http://127.0.0.1/", address)
+        # The script would write what it ran into the page, and an image ask the server.
+        names = names.replace("alert(1)", "document.title='owned'")
+
+        def seen(name: str) -> Page:
+            path = tmp_path / "page.html"
+            write_page(hostile_page(name), path)
+            done = subprocess.run(
+                [
+                    *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
+                    *(f"--user-data-dir={tmp_path / 'profile'}", path.as_uri()),
+                ],
+                capture_output=True,
+                timeout=120,
+                check=False,
+            )
+            if not done.stdout:
+                pytest.skip(f"{browser} does not start here")
+            return Page(done.stdout.decode("utf-8", "replace"))
+
+        hostile, harmless = seen(names), seen("boat")
+        with pytest.raises(BlockingIOError):
+            server.accept()
+    assert [tag for tag, _ in hostile.tags] == [tag for tag, _ in harmless.tags]
+    assert outline(hostile) == outline(harmless)
+    assert hostile.inside["script"][1] == harmless.inside["script"][1]
+    assert hostile.words.count("document.title='owned'") >= 20

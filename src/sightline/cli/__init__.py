@@ -9,7 +9,6 @@ import traceback
 from typing import Any
 
 import typer
-from rich.markup import escape
 
 from sightline import __version__
 from sightline.cli import common
@@ -24,6 +23,7 @@ from sightline.cli.run import run
 from sightline.cli.simulate import simulate
 from sightline.cli.track import track
 from sightline.errors import SightlineError
+from sightline.text import terminal_text
 
 # What is wrong with a command line: typer brings it along under a private name.
 _CommandError: Any = typer.BadParameter.__mro__[2]
@@ -77,7 +77,7 @@ class _Warnings(logging.Handler):
         line = record.getMessage()
         if line not in self._shown:
             self._shown.add(line)
-            _print_line("[bold yellow]warning:[/]", line)
+            common.say_aside("warning:", line, "yellow")
 
 
 def _run(arguments: list[str] | None) -> int:
@@ -88,7 +88,7 @@ def _run(arguments: list[str] | None) -> int:
         status = app(args=arguments, standalone_mode=False, obj=settings)
     except SightlineError as error:
         if settings.debug:
-            traceback.print_exc()
+            sys.stderr.write(terminal_text(traceback.format_exc()))
         return _refuse(str(error))
     except _CommandError as error:
         # There is no message where the help was printed, since no command was given.
@@ -115,10 +115,5 @@ def _run(arguments: list[str] | None) -> int:
 
 def _refuse(message: str) -> int:
     if message:
-        _print_line("[bold red]error:[/]", message)
+        common.say_aside("error:", message, "red")
     return 2
-
-
-def _print_line(head: str, message: str) -> None:
-    line = " ".join(message.split())
-    common.stderr.print(f"{head} {escape(line)}", soft_wrap=True, highlight=False)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection import _onnxruntime
+from sightline.detection._onnx_file import check_onnx_file
 from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.letterbox import Letterbox
@@ -453,6 +454,7 @@ def _session(where: str, options: DetectorOptions) -> Any:
         raise InputError(f"{where}: there is no such ONNX file")
     if path.stat().st_size == 0:
         raise InputError(f"{where}: is empty")
+    check_onnx_file(path)
     available = available_providers()
     wanted = options.provider
     if wanted is not None and wanted not in available:
@@ -470,6 +472,8 @@ def _session(where: str, options: DetectorOptions) -> Any:
         settings.intra_op_num_threads = options.threads
     # Threads that wait in a loop keep the decoding of the next frame from the core.
     settings.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # What was checked is what is run; a file that is of another format is refused.
+    settings.add_session_config_entry("session.load_model_format", "ONNX")
     try:
         return onnxruntime.InferenceSession(
             where, sess_options=settings, providers=[PROVIDERS[name] for name in chosen]

@@ -183,20 +183,31 @@ def write_fixes(fixes: Fixes, path: str | os.PathLike[str]) -> None:
 
 
 def read_boxes(
-    path: str | os.PathLike[str], *, source: str | None = None, skip_empty: bool = False
+    path: str | os.PathLike[str],
+    *,
+    source: str | None = None,
+    skip_empty: bool = False,
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Boxes:
     """All boxes of a file: a CSV table, or a MOTChallenge file (``.txt``).
 
     Args:
         path: The file; for its columns see `sightline.formats.boxes_csv` and `.mot`.
         source: The source of boxes that name none; None: ``""``.
-        skip_empty: Leave out boxes without width or height, which some detectors put out, and
-            log a warning that says how many, rather than refuse the file.
+        skip_empty: Leave out rows whose box has no width or height or no number, as some
+            detectors and trackers put them out, and count them, rather than refuse the file.
+        image_size_px: Width and height of the picture, for boxes in shares of it (0 to 1), which
+            are refused without it.
+        tally: Counts rows and boxes, and what is left out; None: a warning tells of it.
 
     Raises:
-        InputError: The file cannot be used; names the line.
+        InputError: The file cannot be used, or none of its rows; names the line.
     """
-    return Boxes.concatenate(list(iter_boxes(path, source=source, skip_empty=skip_empty)))
+    chunks = iter_boxes(
+        path, source=source, skip_empty=skip_empty, image_size_px=image_size_px, tally=tally
+    )
+    return Boxes.concatenate(list(chunks))
 
 
 def iter_boxes(
@@ -205,6 +216,8 @@ def iter_boxes(
     *,
     source: str | None = None,
     skip_empty: bool = False,
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Iterator[Boxes]:
     """The boxes of a file in chunks, at a memory that does not grow with its length.
 
@@ -213,12 +226,19 @@ def iter_boxes(
         chunk_rows: Most rows in a chunk.
         source: As for `read_boxes`.
         skip_empty: As for `read_boxes`.
+        image_size_px: As for `read_boxes`.
+        tally: As for `read_boxes`.
 
     Raises:
         InputError: The file cannot be used; names the line.
     """
     return _by_suffix(path, _BOX_READERS, "boxes")(
-        path, chunk_rows, source=source or "", skip_empty=skip_empty
+        path,
+        chunk_rows,
+        source=source or "",
+        skip_empty=skip_empty,
+        image_size_px=image_size_px,
+        tally=tally,
     )
 
 

@@ -18,6 +18,7 @@ from sightline.formats._times import EXPECTED, NotUnderstoodError, read_numbers,
 from sightline.plausibility import FASTEST_MPS, HARDEST_MPS2, implausible
 from sightline.synchronisation import repeated
 from sightline.tally import Tally
+from sightline.text import xml_text as xml_text
 from sightline.types import BoolArray, Fixes, FloatArray, StrArray
 
 _logger = logging.getLogger(__name__)
@@ -25,7 +26,7 @@ _logger = logging.getLogger(__name__)
 _SNIFFED_BYTES = 65536
 _SENTENCE = re.compile(rb"[$!][A-Z]{5},[0-9A-Z.,*-]{6}")
 # What pandas takes for an empty cell of a column of numbers.
-_MISSING = (
+MISSING = (
     *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
@@ -34,7 +35,8 @@ _COARSEST_S, _MANY, _MOST_A_SECOND = 2.0, 3, 60
 # gzip, zip (also of spreadsheets), xz, bzip2, Zstandard.
 _PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", b"BZh", b"\x28\xb5\x2f\xfd")
 _NO_INT64 = 2.0**63
-_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
+FIRST_TIME, LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -149,7 +151,7 @@ def table(
             chunksize=chunk_rows or 2**62,
             dtype=dict.fromkeys(spoken, str),
             keep_default_na=False,
-            na_values={name: [""] if name in spoken else list(_MISSING) for name in header},
+            na_values={name: [""] if name in spoken else list(MISSING) for name in header},
             low_memory=False,
             **form,
         )
@@ -256,10 +258,11 @@ def shortened(text: str, most: int = 80) -> str:
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in line)
 
 
-def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
+def numbers(path: str | os.PathLike[str], column: pd.Series, *, row: str = "line") -> FloatArray:
     """A column as float64; what is not a finite number is refused by its line."""
     values = floats(column)
-    refuse(path, column.index, ~np.isfinite(values), column, f"is no number ({column.name})")
+    bad = ~np.isfinite(values)
+    refuse(path, column.index, bad, column, f"is no number ({column.name})", row=row)
     return values
 
 
@@ -280,12 +283,15 @@ def _float(cell: Any) -> float:
         return float("nan")
 
 
-def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np.int64]:
+def whole_numbers(
+    path: str | os.PathLike[str], column: pd.Series, *, row: str = "line"
+) -> NDArray[np.int64]:
     """A column as int64; what is not a whole number is refused by its line."""
-    values = numbers(path, column)
-    refuse(path, column.index, values % 1 != 0, column, f"is no whole number ({column.name})")
+    values = numbers(path, column, row=row)
+    bad = values % 1 != 0
+    refuse(path, column.index, bad, column, f"is no whole number ({column.name})", row=row)
     far = np.abs(values) >= _NO_INT64
-    refuse(path, column.index, far, column, f"is too large a number ({column.name})")
+    refuse(path, column.index, far, column, f"is too large a number ({column.name})", row=row)
     return values.astype(np.int64)
 
 
@@ -297,6 +303,7 @@ def times(
     dated: bool = False,
     zone_told: bool = True,
     tally: Tally | None = None,
+    row: str = "line",
 ) -> FloatArray:
     """A column of times as POSIX seconds; see `sightline.formats._times` for what is understood.
 
@@ -307,10 +314,13 @@ def times(
         dated: Whether numbers of before 2000 are refused, as seconds of a day.
         zone_told: Whether the column's name says that its times are in UTC.
         tally: Takes what was assumed of how they are written.
+        row: What its index counts.
     """
     empty = column.isna().to_numpy(dtype=bool)
     if not missing_allowed:
-        refuse(path, column.index, empty, column, f"is no time ({column.name}); {EXPECTED}")
+        refuse(
+            path, column.index, empty, column, f"is no time ({column.name}); {EXPECTED}", row=row
+        )
     try:
         if pd.api.types.is_numeric_dtype(column):
             read = read_numbers(column.to_numpy(dtype=np.float64), dated=dated)
@@ -320,7 +330,7 @@ def times(
     except NotUnderstoodError as error:
         line, cell = column.index[error.row], shortened(_text(column.iloc[error.row]))
         why = error.why.replace("is no time", f"is no time ({column.name})", 1)
-        raise InputError(f"{path}, line {line}: {cell} {why}") from error
+        raise InputError(f"{path}, {row} {line}: {cell} {why}") from error
     if tally is not None:
         for sentence in read.assumed:
             tally.note(sentence)
@@ -501,11 +511,6 @@ def check_places(
             f"{longitude_deg[i]:g} is not on the earth; latitudes lie within ±90 degrees, "
             "longitudes within ±180 (are the columns swapped?)"
         )
-
-
-def xml_text(text: str) -> str:
-    """A text without the control characters that no XML file can hold."""
-    return _NOT_IN_XML.sub("\ufffd", text)
 
 
 def milliseconds(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:

@@ -23,6 +23,7 @@ from sightline.camera.parameters import (
 )
 from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
 from sightline.camera.priors import ANY_ASPECT, CameraPrior, PixelNoise, SourcePrior
+from sightline.georeferencing.model_file import numbers_of_shape
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings
@@ -43,6 +44,7 @@ other boats end their boxes 6 to 8 px too high, people who draw boxes differ by 
 # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
+_INPUTS = len(_LENGTH_SCALES)
 # So that what is known of a chunk stays in a core's own cache.
 _CHUNK = 1024
 
@@ -518,6 +520,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             above_sigma_m=float(settings.get("above_sigma_m", 0.0)),
         )
         model.sources_ = tuple(settings["sources"])
+        if not all(isinstance(source, str) for source in model.sources_):
+            raise TypeError("a source of boxes is no text")
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
         size = ParameterLayout(len(model.sources_), clock_groups.size).size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
@@ -539,34 +543,59 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
             raise ValueError("a parameter of the camera is not a number")
+        if clock_groups.ndim != 1 or not (model.fit_.prior_sigma > 0.0).all():
+            raise ValueError("what was assumed of the camera is not a number")
         model.n_features_in_ = 4
         model.typical_speed_mps_ = float(settings["typical_speed_mps"])
         model._prepare()
         processes = [
-            ResidualProcess(
-                np.array(arrays[f"{key}.inputs"], dtype=np.float64),
-                np.array(arrays[f"{key}.targets"], dtype=np.float64),
-                np.array(arrays[f"{key}.noise"], dtype=np.float64),
-                np.array(arrays[f"{key}.group"], dtype=np.int64),
-                length_scales=tuple(settings[key]["length_scales"]),
-                hyperparameters=Hyperparameters.from_list(settings[key]["hyperparameters"]),
-                log_error=LogError(
-                    np.array(arrays[f"{key}.time"], dtype=np.float64),
-                    np.array(arrays[f"{key}.direction"], dtype=np.float64),
-                    np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
-                    model.fit_.noise.correlated_m,
-                    model.fit_.noise.correlation_time_s,
-                    model.fit_.noise.heave_m / model.camera_.height_m if key == "range" else 0.0,
-                )
-                if f"{key}.time" in arrays
-                else None,
-            )
+            _restored_process(key, arrays, settings[key], model.fit_, model.camera_.height_m)
             if key in settings
             else None
             for key in ("range", "bearing")
         ]
         model.range_process_, model.bearing_process_ = processes
         return model
+
+
+def _restored_process(
+    key: str, arrays: Arrays, settings: Settings, fit: CameraFit, height_m: float
+) -> ResidualProcess:
+    """The residual in range or bearing from a model's state.
+
+    Raises:
+        LookupError: A part is missing.
+        ValueError: A part does not fit the others, or is not a number.
+    """
+    length_scales = tuple(float(scale) for scale in settings["length_scales"])
+    hyperparameters = Hyperparameters.from_list(settings["hyperparameters"])
+    n, dimensions = len(arrays[f"{key}.targets"]), len(hyperparameters.length_scales)
+
+    def part(name: str, *shape: int) -> FloatArray:
+        return numbers_of_shape(arrays[f"{key}.{name}"], f"{key}.{name}", (n, *shape))
+
+    if dimensions != _INPUTS or len(length_scales) != _INPUTS:
+        raise ValueError(f"the residual in {key} is of {dimensions} inputs, not of {_INPUTS}")
+    group = part("group").astype(np.int64)
+    log_error = None
+    if f"{key}.time" in arrays:
+        log_error = LogError(
+            part("time"),
+            part("direction", 2),
+            part("log").astype(np.int64) if f"{key}.log" in arrays else group,
+            fit.noise.correlated_m,
+            fit.noise.correlation_time_s,
+            fit.noise.heave_m / height_m if key == "range" else 0.0,
+        )
+    return ResidualProcess(
+        part("inputs", _INPUTS),
+        part("targets"),
+        part("noise"),
+        group,
+        length_scales=length_scales,
+        hyperparameters=hyperparameters,
+        log_error=log_error,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, det
 from sightline.detection.run import usable
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.tally import Tally
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
 
 _TABLE_SUFFIXES = (".csv", ".txt")
@@ -32,16 +34,27 @@ def is_table(source: str | os.PathLike[str]) -> bool:
     return Path(source).suffix.lower() in _TABLE_SUFFIXES and "://" not in str(source)
 
 
-def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
+def read_table(
+    path: str | os.PathLike[str],
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
+) -> tuple[Iterator[Boxes], int]:
     """Read the boxes of a table in chunks, in the order of time.
 
     Boxes without width or height, which some detectors put out, are left out.
+
+    Args:
+        path: The table.
+        image_size_px: Width and height of the picture, for boxes in shares of it.
+        tally: Counts rows and boxes, and what is left out; None: a warning tells of it.
 
     Returns:
         The boxes, and the highest track id, `NO_TRACK` if they have none.
     """
     ordered, alone, last, highest_id = True, True, -np.inf, NO_TRACK
-    for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True):
+    read = partial(formats.iter_boxes, path, skip_empty=True, image_size_px=image_size_px)
+    # It is read again below, and then tells what it left out.
+    for chunk in read(_CHUNK_ROWS, tally=Tally(path)):
         if not len(chunk):
             continue
         moment = _moment(chunk)
@@ -52,8 +65,8 @@ def read_table(path: str | os.PathLike[str]) -> tuple[Iterator[Boxes], int]:
         last = float(moment[-1])
     if not ordered:
         # Sorted by track, or not at all: only the whole table can be put in order.
-        return from_memory(formats.read_boxes(path, skip_empty=True))
-    chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True)
+        return from_memory(Boxes.concatenate(list(read(tally=tally))))
+    chunks = read(_CHUNK_ROWS, tally=tally)
     if alone and highest_id == NO_TRACK:
         return (_as_one_target(chunk) for chunk in chunks), 1
     return chunks, highest_id

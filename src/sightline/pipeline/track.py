@@ -233,7 +233,9 @@ def iter_tracks(
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
         batches, highest_id = (
-            from_memory(source) if isinstance(source, Boxes) else read_table(source)
+            from_memory(source)
+            if isinstance(source, Boxes)
+            else read_table(source, model.image_size_px)
         )
         history = CameraHistory(horizons=horizons, water=water)
         dated = (with_times(boxes, clock, model, where) for boxes in batches)

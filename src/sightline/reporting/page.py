@@ -29,6 +29,7 @@ from sightline.evaluation.report import Matched, Report, TracksUsed, without_nan
 from sightline.geodesy import LocalPlane
 from sightline.reporting.plots import data_uri
 from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
+from sightline.text import xml_text
 from sightline.types import Fixes, FloatArray, IntArray, PointKind, Track, ellipses, utc_text
 
 KNOTS_PER_MPS = 3600.0 / 1852.0
@@ -175,7 +176,8 @@ def write_page(page: ReportPage, path: str | Path) -> None:
 def render_page(page: ReportPage) -> str:
     """The page as HTML text that needs no other file."""
     script, style = _asset("report.js"), _asset("report.css")
-    return (
+    # What no page can hold is shown as such; a zero or an escape in a name is none of the markup.
+    return xml_text(
         _environment()
         .from_string(_asset("report.html.j2"))
         .render(

@@ -39,6 +39,7 @@ from sightline.types import NO_FRAME
 LEFT_OUT = "each recording left out"
 LEARNED_FROM = "recordings learned from"
 _SINGLE = "single boxes"
+_LONGEST_NAME = 60
 
 _WORDS = {
     "height_m": "height above the water or road",
@@ -304,7 +305,8 @@ def _file_names(names: Iterable[str]) -> list[str]:
     out: list[str] = []
     for name in names:
         plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).lstrip(".")
-        plain = plain or "recording"
+        # What a name and an ending may have in bytes, in any script.
+        plain = plain[:_LONGEST_NAME] or "recording"
         same = (f"{plain}-{i}" for i in itertools.count(2))
         out.append(next(one for one in itertools.chain([plain], same) if one not in out))
     return out

@@ -139,7 +139,8 @@ class Recording:
         """
         if self.boxes_path is None:
             raise InputError(f"recording {self.name}: has no boxes; give boxes = FILE")
-        return self._timed(formats.read_boxes(self.boxes_path), self.boxes_path)
+        boxes = formats.read_boxes(self.boxes_path, image_size_px=self.image_size_px)
+        return self._timed(boxes, self.boxes_path)
 
     def detections(self) -> Boxes:
         """The boxes of anything, with their times.
@@ -153,7 +154,10 @@ class Recording:
         if self.detections_path is None:
             raise InputError(f"recording {self.name}: has no detections; give detections = FILE")
         path = self.detections_path
-        return self._timed(formats.read_boxes(path, source=path.stem, skip_empty=True), path)
+        boxes = formats.read_boxes(
+            path, source=path.stem, skip_empty=True, image_size_px=self.image_size_px
+        )
+        return self._timed(boxes, path)
 
     def fixes(self) -> Fixes:
         """The log of the target, as fixes.
