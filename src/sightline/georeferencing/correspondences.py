@@ -26,6 +26,10 @@ class Correspondences:
         water_level_m: (N,) float64, how high the water stood above the datum. Absent: at it.
         bias_only: (N,) bool, whether a box is of a source that is only to have its biases learned,
             beside those of whoever drew. Absent: none is.
+        fix_sigma_m: (N,) float64, standard deviation of the place along either axis that a gap of
+            the log makes; 0 where the fixes are near. Absent: everywhere.
+        fix_time_utc_s: (N, 2) float64, times of the fixes on either side, by the log's clock; NaN
+            where nobody says. Absent: nowhere.
     """
 
     boxes: Boxes
@@ -37,6 +41,8 @@ class Correspondences:
     vessel: StrArray = field(default_factory=lambda: np.empty(0, dtype=np.str_))
     water_level_m: FloatArray = field(default_factory=lambda: np.empty(0))
     bias_only: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+    fix_sigma_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    fix_time_utc_s: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     def __post_init__(self) -> None:
         if self.vessel.size == 0:
@@ -45,6 +51,10 @@ class Correspondences:
             object.__setattr__(self, "water_level_m", np.zeros(len(self.boxes)))
         if self.bias_only.size == 0:
             object.__setattr__(self, "bias_only", np.zeros(len(self.boxes), dtype=np.bool_))
+        if self.fix_sigma_m.size == 0:
+            object.__setattr__(self, "fix_sigma_m", np.zeros(len(self.boxes)))
+        if self.fix_time_utc_s.size == 0:
+            object.__setattr__(self, "fix_time_utc_s", np.full((len(self.boxes), 2), np.nan))
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -72,4 +82,6 @@ class Correspondences:
             vessel=self.vessel[rows],
             water_level_m=self.water_level_m[rows],
             bias_only=self.bias_only[rows],
+            fix_sigma_m=self.fix_sigma_m[rows],
+            fix_time_utc_s=self.fix_time_utc_s[rows],
         )

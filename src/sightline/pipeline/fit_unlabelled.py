@@ -31,8 +31,8 @@ from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_static_intervals
 from sightline.scene.correspondences import levels_at, scene_correspondences
 from sightline.scene.detections import SceneDetections, lower_edges_of
-from sightline.synchronisation import check_overlap
-from sightline.types import Boxes, FloatArray, IntArray
+from sightline.synchronisation import LARGEST_GAP_S, check_overlap
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 CORRELATION_TIME_S = 1.5
 """Boxes that teach are at least so far apart: a detector's errors last as long."""
@@ -375,6 +375,7 @@ def recognised_correspondences(
 ) -> Correspondences:
     """Correspondences of the associated boxes, thinned."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
+    sigmas, around = [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
         watch = by_name[found.recording]
@@ -388,6 +389,9 @@ def recognised_correspondences(
         vessels.append(np.full(int(known.sum()), found.vessel))
         places.append(at.east_north_m[known])
         velocities.append(at.velocity_mps[known])
+        # What short gaps leave open is told by the noise that the fit estimates.
+        sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
+        around.append(at.fix_time_utc_s[known])
         if scene.tidal:
             levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
     return Correspondences(
@@ -399,7 +403,13 @@ def recognised_correspondences(
         plane=plane,
         vessel=np.concatenate(vessels),
         water_level_m=np.concatenate([np.empty(0), *levels]),
+        fix_sigma_m=np.concatenate(sigmas),
+        fix_time_utc_s=np.concatenate(around),
     )
+
+
+def _long(fix_time_utc_s: FloatArray) -> BoolArray:
+    return np.asarray(np.diff(fix_time_utc_s, axis=1)[:, 0] > LARGEST_GAP_S)
 
 
 def _measured(
