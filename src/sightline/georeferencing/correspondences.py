@@ -8,7 +8,16 @@ from typing import Self
 import numpy as np
 
 from sightline.geodesy import LocalPlane
-from sightline.types import BoolArray, Boxes, FloatArray, Rows, StrArray
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Rows, StrArray
+
+CERTAIN_M = 2.0
+CERTAIN_SHARE = 0.02
+"""A place in a gap of a log teaches where it is as certain as this, in metres or as a share of the
+distance: no worse than the error of a log, which there is anyway. Further from a fix a place says
+little, and what a vessel does between two fixes, few fixes do not tell."""
+
+FEWEST_CERTAIN = 30
+"""Where there are fewer, the most certain of all teach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +80,23 @@ class Correspondences:
             east_north_m=np.stack(plane.to_plane(latitude, longitude), axis=1),
             plane=plane,
         )
+
+    def certain_rows(self) -> IntArray:
+        """(K,) rows whose places are certain enough to learn from; see `CERTAIN_M`.
+
+        Distances are from the origin, which is where a camera of known place stands.
+        """
+        limit_m = np.maximum(CERTAIN_M, CERTAIN_SHARE * np.hypot(*self.east_north_m.T))
+        relative = self.fix_sigma_m / limit_m
+        kept = relative <= 1.0
+        if kept.sum() < FEWEST_CERTAIN:
+            kept[np.argsort(relative, kind="stable")[:FEWEST_CERTAIN]] = True
+        return np.flatnonzero(kept)
+
+    def certain(self) -> Self:
+        """Those whose places are certain enough to learn from; see `CERTAIN_M`."""
+        rows = self.certain_rows()
+        return self if rows.size == len(self) else self[rows]
 
     def __getitem__(self, rows: Rows) -> Self:
         return replace(

@@ -26,6 +26,7 @@ from sightline.georeferencing.models import (
     control_landmarks,
     model_type,
 )
+from sightline.georeferencing.stages import fit_in_stages
 from sightline.georeferencing.support import Support
 from sightline.types import BoolArray, Boxes, ControlPoints, FloatArray, Horizons
 
@@ -267,7 +268,8 @@ def _fit_once(
     if level_m is None and inputs.tidal and len(pairs):
         level_m = float(np.median(pairs.water_level_m))
     above_m = pairs.water_level_m - (level_m or 0.0)
-    model = kind.fit(
+    staged = fit_in_stages(
+        kind,
         Observations(
             correspondences=pairs,
             image_size_px=inputs.image_size_px,
@@ -283,10 +285,12 @@ def _fit_once(
         ),
         seed=settings.seed,
     )
+    model, pairs, above_m = staged.model, pairs[staged.rows], above_m[staged.rows]
     has_camera = model.camera is not None
     boxes = pairs.boxes.xyxy_px
     placed = model.locate(boxes, pairs.boxes.source, above_m)
     report = fit_report(kind.name, model, pairs, placed.east_north_m, len(control))
+    report = replace(report, statements=(*staged.statements, *report.statements))
     if level_m is not None and has_camera:
         said = f"The height of the camera is that over a water level of {level_m:.2f} m."
         report = replace(report, statements=(*report.statements, said))
