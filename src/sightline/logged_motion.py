@@ -30,6 +30,8 @@ _DENSITY_M2PS3, _DENSITY_WIDTH = 0.5, 1.5
 _FIX_SIGMA_M, _FIX_SIGMA_WIDTH = 0.3, 0.7
 # A density that a handful of fixes tell is unsure itself, and vessels turn in bouts.
 _BOUTS = 1.4
+# A fix that is so many times further off the line between its neighbours than others are leaps.
+_LEAP = 8.0
 # So many fixes on either side say how fast a vessel went into a gap, and came out of it.
 _AROUND = 8
 # The first so many say how restless a vessel is.
@@ -133,13 +135,16 @@ class LoggedMotion:
 def estimate_motion(time_s: FloatArray, east_north_m: FloatArray) -> MotionNoise:
     """The motion noise under which the fixes of a log are likeliest, with weak priors.
 
+    A fix that leaps off and back is none of the motion, and would make all of it look restless.
+
     Args:
         time_s: (K,) strictly increasing.
         east_north_m: (K, 2) metres.
     """
-    if time_s.size < 3:
+    kept = ~spikes(time_s[:_MOST_FIXES], east_north_m[:_MOST_FIXES])
+    times, places = time_s[:_MOST_FIXES][kept], east_north_m[:_MOST_FIXES][kept]
+    if times.size < 3:
         return MotionNoise()
-    times, places = time_s[:_MOST_FIXES], east_north_m[:_MOST_FIXES]
     places = places - places.mean(axis=0)
     centre = np.log([_DENSITY_M2PS3, _FIX_SIGMA_M])
     width = np.array([_DENSITY_WIDTH, _FIX_SIGMA_WIDTH])
@@ -157,6 +162,52 @@ def estimate_motion(time_s: FloatArray, east_north_m: FloatArray) -> MotionNoise
         options={"xatol": 0.05, "fatol": 0.05, "maxiter": 120},
     )
     return MotionNoise(*np.exp(found.x).tolist())
+
+
+def spikes(time_s: FloatArray, east_north_m: FloatArray) -> BoolArray:
+    """(K,) whether a fix leaps off the path and back, as no vessel does.
+
+    It lies far off the line between its neighbours, and with it on that line they lie nearer to
+    theirs: where a vessel turns, they would lie further off.
+
+    Args:
+        time_s: (K,) strictly increasing.
+        east_north_m: (K, 2) metres.
+    """
+    out = np.zeros(time_s.size, dtype=bool)
+    if time_s.size < 7:
+        return out
+    off, scale = _off_line(time_s, east_north_m)
+    size = np.hypot(*off.T)
+    far = size / scale
+    limit = _LEAP * float(np.median(far[1:-1]))
+    for index in np.argsort(-far):
+        if far[index] < limit or not 1 < index < time_s.size - 2:
+            continue
+        part = slice(index - 2, index + 3)
+        places = east_north_m[part].copy()
+        places[2] -= off[index]
+        then = np.hypot(*_off_line(time_s[part], places)[0].T)
+        before = size[part]
+        if (then[[1, 3]] < 0.5 * before[[1, 3]]).all():
+            out[index] = True
+    return out
+
+
+def _off_line(time_s: FloatArray, east_north_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(K, 2) of each fix off the line between its neighbours, and (K,) its scale, alike for all.
+
+    The ends have none. The scale is by how much white acceleration makes it differ with the steps.
+    """
+    step = np.diff(time_s)
+    before, after = step[:-1], step[1:]
+    share = (before / (before + after))[:, None]
+    off = np.zeros_like(east_north_m)
+    line = east_north_m[:-2] + share * (east_north_m[2:] - east_north_m[:-2])
+    off[1:-1] = east_north_m[1:-1] - line
+    scale = np.ones(time_s.size)
+    scale[1:-1] = before * after / np.sqrt(3.0 * (before + after))
+    return off, scale
 
 
 def log_likelihood(time_s: FloatArray, east_north_m: FloatArray, noise: MotionNoise) -> float:

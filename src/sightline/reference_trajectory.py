@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.geodesy import LocalPlane
-from sightline.logged_motion import LONGEST_GAP_S, LoggedMotion, usable
+from sightline.logged_motion import LONGEST_GAP_S, LoggedMotion, spikes, usable
 from sightline.synchronisation import LARGEST_GAP_S, distinct
 from sightline.types import Fixes, FloatArray
 
@@ -18,6 +18,19 @@ LARGEST_REPORT_GAP_S = 150.0
 
 # What a vessel under way may do between two reports that it does not tell.
 _UNTOLD_MPS2 = 0.02
+
+
+def without_leaps(fixes: Fixes, plane: LocalPlane) -> tuple[Fixes, Fixes]:
+    """A log with distinct times without the fixes that leap off the path and back, and these.
+
+    Args:
+        fixes: The log.
+        plane: Near it.
+    """
+    log = distinct(fixes)
+    place = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
+    leaps = spikes(log.time_utc_s, place)
+    return (log[~leaps], log[leaps]) if leaps.any() else (log, log[leaps])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +82,7 @@ class ReferenceTrajectory:
             velocity_mps: (N, 2) over ground as the fixes reported it, NaN where they did not.
         """
         if velocity_mps is None or not np.isfinite(velocity_mps).any():
-            log = distinct(fixes)
+            log, _ = without_leaps(fixes, plane)
             place = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
             return cls(fixes.name, log.time_utc_s, place, np.full((len(log), 2), np.nan))
         place = np.stack(plane.to_plane(fixes.latitude_deg, fixes.longitude_deg), axis=1)

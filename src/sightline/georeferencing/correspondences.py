@@ -16,6 +16,12 @@ CERTAIN_SHARE = 0.02
 distance: no worse than the error of a log, which there is anyway. Further from a fix a place says
 little, and what a vessel does between two fixes, few fixes do not tell."""
 
+MOST = 0.5
+"""With a larger share of the boxes between near fixes, these alone are certain."""
+
+ALMOST_ALL = 0.9
+"""With a larger share of certain boxes, the others, in gaps of the log, are not asked."""
+
 FEWEST_CERTAIN = 30
 """Where there are fewer, the most certain of all teach."""
 
@@ -84,8 +90,12 @@ class Correspondences:
     def certain_rows(self) -> IntArray:
         """(K,) rows whose places are certain enough to learn from; see `CERTAIN_M`.
 
-        Distances are from the origin, which is where a camera of known place stands.
+        Distances are from the origin, which is where a camera of known place stands. Where most
+        boxes are between near fixes, these are all.
         """
+        near = self.fix_sigma_m == 0.0
+        if near.mean() > MOST:
+            return np.flatnonzero(near)
         limit_m = np.maximum(CERTAIN_M, CERTAIN_SHARE * np.hypot(*self.east_north_m.T))
         relative = self.fix_sigma_m / limit_m
         kept = relative <= 1.0

@@ -48,6 +48,7 @@ class FitInputs:
         landmarks: Pixels whose place is known roughly.
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
+        statements: Sentences for people on what was left out of the logs.
         name: Begins messages: the scene file.
     """
 
@@ -61,6 +62,7 @@ class FitInputs:
     static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     asked: Mapping[str, int] = field(default_factory=dict)
+    statements: tuple[str, ...] = ()
     name: str = "the scene"
 
     def without(self, recording: str) -> FitInputs:
@@ -290,7 +292,9 @@ def _fit_once(
     boxes = pairs.boxes.xyxy_px
     placed = model.locate(boxes, pairs.boxes.source, above_m)
     report = fit_report(kind.name, model, pairs, placed.east_north_m, len(control))
-    report = replace(report, statements=(*staged.statements, *report.statements))
+    report = replace(
+        report, statements=(*inputs.statements, *staged.statements, *report.statements)
+    )
     if level_m is not None and has_camera:
         said = f"The height of the camera is that over a water level of {level_m:.2f} m."
         report = replace(report, statements=(*report.statements, said))

@@ -212,8 +212,8 @@ def sentences(found: tuple[WrongFix, ...]) -> tuple[str, ...]:
             )
         else:
             out.append(
-                f"{len(stretch)} fixes from {first} to {last_utc} (recording "
-                f"{stretch[0].recording}) are up to {off_m:.0f} m from where the boxes say; they "
+                f"The fixes from {first} to {last_utc} (recording {stretch[0].recording}) are "
+                f"up to {off_m:.0f} m from where the boxes say; they "
                 f"are left out, with the {told} them."
             )
     if len(stretches) > _MOST_NAMED:

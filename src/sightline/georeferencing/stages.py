@@ -20,7 +20,7 @@ from sightline.camera.parameters import PARAMETERS
 from sightline.camera.priors import CameraPrior
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
-from sightline.georeferencing.correspondences import Correspondences
+from sightline.georeferencing.correspondences import ALMOST_ALL, Correspondences
 from sightline.georeferencing.log_weighing import WrongFix, sentences, wrong_fixes
 from sightline.georeferencing.models import BoxModel, CameraModelType, ModelType, Observations
 from sightline.georeferencing.placement import Placement
@@ -38,11 +38,13 @@ _WITHOUT_RESIDUAL = (
 )
 _USUAL_NOISE = (
     "How far boxes and log are off could not be estimated: with it the boxes would be placed worse "
-    "than by the first solution, which stands with the usual noise. Look at the log"
+    "than by the first solution, which stands with the usual noise."
 )
 # Of the placed share: a box or two at the horizon come and go.
 _FEWER = 0.05
 _MOST_ROUNDS = 4
+# A box that is placed so far from its log is worth a look.
+_FAR_SIGMAS = 4.5
 # Nobody sees a boat from further away.
 _FARTHEST_M = 100e3
 _FEWEST_TO_WEIGH = 8
@@ -126,20 +128,20 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
             it would look at first.
     """
     pairs = observations.correspondences
+    far = _far_away(observations)
+    if far:
+        raise FitError(far)
     certain = pairs.certain_rows()
     if not isinstance(kind, CameraModelType) or not len(pairs):
         model = kind.fit(_of(observations, certain), seed=seed)
         if len(pairs):
             _check(model, _of(observations, certain))
         return StagedFit(model, certain)
-    try:
-        first = _First.of(kind, observations, certain, seed)
-    except FitError as error:
-        raise FitError(f"{error}{_far_away(observations)}") from error
+    first = _First.of(kind, observations, certain, seed)
     model, said = _fitted(kind, _of(observations, first.rows), first, seed)
     rows, statements = first.rows, [*sentences(first.wrong), *said]
-    more = np.setdiff1d(np.arange(len(pairs)), np.union1d(certain, first.spoilt))
-    if more.size:
+    if certain.size < ALMOST_ALL * len(pairs):
+        more = np.setdiff1d(np.flatnonzero(~_beside(pairs, first.wrong)), certain)
         whole = np.sort(np.concatenate([first.rows, more]))
         known = _of(observations, first.rows)
         wider = _attempt(lambda: kind.fit(_of(observations, whole), seed=seed))
@@ -150,6 +152,15 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
             model, rows = wider, whole
         statements.append(_on_gaps(pairs, rows))
     return StagedFit(model, rows, tuple(statements))
+
+
+def _beside(pairs: Correspondences, wrong: tuple[WrongFix, ...]) -> BoolArray:
+    """(N,) whether a wrong fix is on either side of a box."""
+    out = np.zeros(len(pairs), dtype=bool)
+    for fix in wrong:
+        at = (pairs.fix_time_utc_s == fix.time_utc_s).any(axis=1)
+        out |= at & (pairs.recording == fix.recording)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,8 +230,8 @@ def _fitted(
             return plain, (_WITHOUT_RESIDUAL,)
     if not first.quality.success:
         raise FitError(_what_is_wrong(observations, first))
-    said = f"{_USUAL_NOISE}{_where(observations.correspondences, first)}."
-    return first.model, (said,)
+    worst = _where(observations, first)
+    return first.model, (_USUAL_NOISE, *((f"Look at the log{worst}.",) if worst else ()))
 
 
 def _attempt(fit: Callable[[], CameraRegressor]) -> CameraRegressor | None:
@@ -250,10 +261,12 @@ def _check(model: BoxModel, observations: Observations) -> None:
     placed = _placed(model, observations)
     unit = np.tile(np.eye(2), (len(placed.east_north_m), 1, 1))
     quality = Quality.of(placed, observations.correspondences.east_north_m, unit)
+    if not quality.finite:
+        raise FitError("a place that the model states, or its covariance, is not a number")
     if not quality.success:
         raise FitError(
             f"the model places {100.0 * quality.placed:.0f} % of the boxes that it learned from; "
-            f"check the log, the clock and the boxes{_far_away(observations)}"
+            "check the log, the clock and the boxes"
         )
 
 
@@ -266,9 +279,6 @@ def _what_is_wrong(observations: Observations, first: _First) -> str:
         f"no camera explains the boxes and fixes: the best places {share} of the boxes that it "
         "learned from"
     )
-    far = _far_away(observations)
-    if far:
-        return said + far
     late = fit.clock_offset_s
     if late.size and np.abs(late).max() > 2.0 * prior.clock_sigma_s:
         worst = int(np.argmax(np.abs(late)))
@@ -283,22 +293,26 @@ def _what_is_wrong(observations: Observations, first: _First) -> str:
             f"{said}; the camera seems to stand {moved:.0f} m from where the scene says: check "
             "[camera] latitude_deg and longitude_deg first"
         )
-    return f"{said}; look at the log first{_where(pairs, first)}, then at the clock"
+    return f"{said}; look at the log first{_where(observations, first)}, then at the clock"
 
 
-def _where(pairs: Correspondences, first: _First) -> str:
-    """Where in a log one would look first: at the box that is placed furthest from it."""
-    placed = first.model.locate(pairs.boxes.xyxy_px, pairs.boxes.source, np.zeros(len(pairs)))
-    off_m = np.hypot(*(placed.east_north_m - pairs.east_north_m).T)
-    if not np.isfinite(off_m).any():
+def _where(observations: Observations, first: _First) -> str:
+    """Where in a log one would look first: at the box that is placed furthest from it, if any is.
+
+    In standard deviations; nothing where none is far.
+    """
+    pairs, placed = observations.correspondences, _placed(first.model, observations)
+    off = placed.east_north_m - pairs.east_north_m
+    standard = np.sqrt(np.sum(off * np.linalg.solve(first.unit_m2, off[:, :, None])[:, :, 0], 1))
+    if not (standard > _FAR_SIGMAS).any():
         return ""
-    worst = int(np.nanargmax(off_m))
+    worst = int(np.nanargmax(standard))
     frame, time = int(pairs.boxes.frame[worst]), float(pairs.boxes.time_utc_s[worst])
     when = f" at {utc_text(time)}" if np.isfinite(time) else ""
     which = f", frame {frame}" if frame >= 0 else ""
     return (
-        f"{when} (recording {pairs.recording[worst]}{which}), which is {off_m[worst]:.0f} m from "
-        "where the box says"
+        f"{when} (recording {pairs.recording[worst]}{which}), which is "
+        f"{np.hypot(*off[worst]):.0f} m from where the box says"
     )
 
 
@@ -311,7 +325,7 @@ def _far_away(observations: Observations) -> str:
     if away_m < _FARTHEST_M:
         return ""
     return (
-        f"; the log is {away_m / 1000.0:.0f} km from the camera: check [camera] latitude_deg and "
+        f"the log is {away_m / 1000.0:.0f} km from the camera: check [camera] latitude_deg and "
         "longitude_deg, and whether the log's latitude and longitude are swapped"
     )
 

@@ -39,6 +39,9 @@ CORRELATION_TIME_S = 1.5
 
 MOST_A_RECORDING = 120
 
+# Between fixes that are further apart a boat has turned, and nobody knows where.
+_SPARSE_S = 15.0
+
 # Detectors see a hull, not where it meets the water: their boxes end too high by a few pixels, as
 # a rule. Where the edge of the water is seen, it tells how many; boxes alone tell next to nothing,
 # so that without it a closer guess has to stand in. Whoever draws boxes leaves some water around a
@@ -189,7 +192,25 @@ def associate_scene(
     try:
         return associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s)
     except FitError as error:
-        raise FitError(f"{scene.path}: {error}") from error
+        raise FitError(f"{scene.path}: {error}{_sparse(watches)}") from error
+
+
+def _sparse(watches: Sequence[RecordingObservations]) -> str:
+    """What is to be said of logs that hardly say how their vessels move."""
+    gaps = []
+    for watch in watches:
+        first, last = watch.seen.time_utc_s.min(), watch.seen.time_utc_s.max()
+        for path in watch.paths:
+            times = path.time_utc_s
+            gaps.append(np.diff(times[(times >= first) & (times <= last)]))
+    apart_s = np.concatenate(gaps)
+    if apart_s.size and np.median(apart_s) < _SPARSE_S:
+        return ""
+    often = f"a fix every {np.median(apart_s):.0f} s" if apart_s.size else "less than two fixes"
+    return (
+        f"; while boxes are seen there is {often}, which says little of how a vessel moves: a log "
+        "with a fix every 10 s, or boxes that are drawn, tell more"
+    )
 
 
 def _over_water(

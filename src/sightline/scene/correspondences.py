@@ -13,11 +13,13 @@ from sightline.georeferencing.fit import FitInputs
 from sightline.logged_motion import LARGEST_SIGMA_M, LONGEST_GAP_S
 from sightline.platform import to_bow, turned
 from sightline.progress import Progress
-from sightline.reference_trajectory import ReferenceStates, ReferenceTrajectory
+from sightline.reference_trajectory import ReferenceStates, ReferenceTrajectory, without_leaps
 from sightline.scene.camera_state import scene_horizons, scene_static_intervals
 from sightline.scene.scene import Recording, Scene
 from sightline.synchronisation import check_overlap, synchronise
-from sightline.types import Boxes, Fixes, FloatArray
+from sightline.types import Boxes, Fixes, FloatArray, utc_text
+
+_MOST_NAMED = 5
 
 
 def collect(
@@ -63,8 +65,34 @@ def collect(
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         asked=asked,
+        statements=_on_leaps(scene, pairs.plane),
         name=str(scene.path),
     )
+
+
+def _fixes(count: int) -> str:
+    return "1 fix leaps" if count == 1 else f"{count} fixes leap"
+
+
+def _on_leaps(scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
+    """Sentences on fixes that leap off the path of their log while boxes are seen."""
+    out = []
+    for recording in scene.recordings:
+        if recording.boxes_path is None or recording.fixes_path is None:
+            continue
+        times = recording.boxes().time_utc_s
+        left_out = without_leaps(recording.fixes(), plane)[1]
+        seen = (left_out.time_utc_s >= np.min(times, initial=np.inf)) & (
+            left_out.time_utc_s <= np.max(times, initial=-np.inf)
+        )
+        if seen.any():
+            when = ", ".join(utc_text(time) for time in left_out.time_utc_s[seen][:_MOST_NAMED])
+            more = seen.sum() - _MOST_NAMED
+            out.append(
+                f"Recording {recording.name}: {_fixes(int(seen.sum()))} off the path of the log "
+                f"and back: left out ({when}{f' and {more} more' if more > 0 else ''})."
+            )
+    return tuple(out)
 
 
 def _middle(scene: Scene) -> LocalPlane:
@@ -177,6 +205,7 @@ def scene_correspondences(
 
 def _places(fixes: Fixes, time_utc_s: FloatArray, plane: LocalPlane) -> ReferenceStates:
     """Places of a log at times: on a line between near fixes, as a motion model says in gaps."""
+    fixes, _ = without_leaps(fixes, plane)
     near = synchronise(fixes, time_utc_s, plane)
     at = ReferenceTrajectory.of(fixes, plane).at(time_utc_s)
     place, velocity, sigma = at.east_north_m, at.velocity_mps, at.sigma_m
