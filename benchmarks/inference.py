@@ -91,7 +91,7 @@ def world() -> tuple[Scene, Correspondences, Harbour, float]:
         made = simulate(folder, recordings=RECORDINGS, duration_s=90.0, camera=CAMERA, video=False)
         scene = Scene.load(made.scene)
         assert scene.plane is not None
-        pairs = scene_correspondences(scene, scene.plane)
+        pairs = scene_correspondences(scene, scene.plane).certain()
     pairs = pairs[np.isin(pairs.recording, [one.name for one in made.recordings[:LEARNED_FROM]])]
     assert len(pairs) >= BOXES
     chosen = np.linspace(0, len(pairs) - 1, BOXES).astype(int)

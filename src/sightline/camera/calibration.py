@@ -234,7 +234,11 @@ def fit_camera(
             break
         start = best.vector
         if noise is None:
-            estimated = problem.estimate_noise(best, estimated)
+            try:
+                estimated = problem.estimate_noise(best, estimated)
+            except LinAlgError:
+                # The noise of the round before stands.
+                break
     best = problem.refine(start, estimated)
     if best is None:
         raise FitError(_BEHIND)

@@ -76,6 +76,9 @@ class FitInputs:
             static_intervals={
                 name: own for name, own in self.static_intervals.items() if name != recording
             },
+            statements=tuple(
+                said for said in self.statements if not said.startswith(f"Recording {recording}:")
+            ),
         )
 
 

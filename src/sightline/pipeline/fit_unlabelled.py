@@ -29,7 +29,7 @@ from sightline.progress import Progress
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_static_intervals
-from sightline.scene.correspondences import levels_at, scene_correspondences
+from sightline.scene.correspondences import levels_at, on_leaps, scene_correspondences
 from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
@@ -258,6 +258,7 @@ def fit_association(
         tidal=scene.tidal,
         static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
+        statements=_on_leaps(association, scene, plane),
         name=str(scene.path),
     )
     settings = FitSettings(
@@ -292,6 +293,16 @@ def fit_association(
         statements=(*more, *fitted.report.statements),
     )
     return replace(fitted, report=report)
+
+
+def _on_leaps(association: Association, scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
+    """Sentences on fixes that leap off the path of a log; those of a feed tell course and speed."""
+    said = []
+    for watch in association.watches:
+        recording = scene[watch.name]
+        if len(recording.logs()) == 1:
+            said.append(on_leaps(recording, watch.seen.time_utc_s, plane))
+    return tuple(one for one in said if one)
 
 
 def update_scene(
@@ -361,7 +372,7 @@ def update_scene(
         source_priors = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
     static_intervals = scene_static_intervals(scene, progress)
-    now = detect_camera_change(old, pairs, static_intervals)
+    now = detect_camera_change(old, pairs.certain(), static_intervals)
     prior = replace(
         prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,

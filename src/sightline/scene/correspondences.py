@@ -70,29 +70,37 @@ def collect(
     )
 
 
-def _fixes(count: int) -> str:
-    return "1 fix leaps" if count == 1 else f"{count} fixes leap"
-
-
 def _on_leaps(scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
-    """Sentences on fixes that leap off the path of their log while boxes are seen."""
-    out = []
-    for recording in scene.recordings:
-        if recording.boxes_path is None or recording.fixes_path is None:
-            continue
-        times = recording.boxes().time_utc_s
-        left_out = without_leaps(recording.fixes(), plane)[1]
-        seen = (left_out.time_utc_s >= np.min(times, initial=np.inf)) & (
-            left_out.time_utc_s <= np.max(times, initial=-np.inf)
-        )
-        if seen.any():
-            when = ", ".join(utc_text(time) for time in left_out.time_utc_s[seen][:_MOST_NAMED])
-            more = seen.sum() - _MOST_NAMED
-            out.append(
-                f"Recording {recording.name}: {_fixes(int(seen.sum()))} off the path of the log "
-                f"and back: left out ({when}{f' and {more} more' if more > 0 else ''})."
-            )
-    return tuple(out)
+    said = [
+        on_leaps(recording, recording.boxes().time_utc_s, plane)
+        for recording in scene.recordings
+        if recording.boxes_path is not None and recording.fixes_path is not None
+    ]
+    return tuple(one for one in said if one)
+
+
+def on_leaps(recording: Recording, time_utc_s: FloatArray, plane: LocalPlane) -> str:
+    """Sentence on the fixes that leap off the path of a recording's log; empty without any.
+
+    Args:
+        recording: One that has a log.
+        time_utc_s: (N,) POSIX seconds of its boxes; fixes before and after them do not count.
+        plane: Near the log.
+    """
+    known = time_utc_s[np.isfinite(time_utc_s)]
+    times = without_leaps(recording.fixes(), plane)[1].time_utc_s
+    if not known.size or not times.size:
+        return ""
+    times = times[(times >= known.min()) & (times <= known.max())]
+    if not times.size:
+        return ""
+    when = ", ".join(utc_text(time) for time in times[:_MOST_NAMED])
+    more = f" and {times.size - _MOST_NAMED} more" if times.size > _MOST_NAMED else ""
+    leap = "1 fix leaps" if times.size == 1 else f"{times.size} fixes leap"
+    return (
+        f"Recording {recording.name}: {leap} off the path of the log and back: left out "
+        f"({when}{more})."
+    )
 
 
 def _middle(scene: Scene) -> LocalPlane:
