@@ -94,7 +94,7 @@ def world() -> tuple[Scene, Correspondences, Harbour, float]:
         )
         scene = Scene.load(made.scene)
         assert scene.plane is not None
-        pairs = scene_correspondences(scene, scene.plane)
+        pairs = scene_correspondences(scene, scene.plane).certain()
     pairs = pairs[np.isin(pairs.recording, [one.name for one in made.recordings[:LEARNED_FROM]])]
     assert len(pairs) >= BOXES
     chosen = np.linspace(0, len(pairs) - 1, BOXES).astype(int)

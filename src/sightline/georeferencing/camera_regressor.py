@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -37,6 +38,9 @@ FEWEST_FOR_RESIDUAL = 10
 LARGEST_RELATIVE_SIGMA = 0.5
 """A box whose range is less certain than this share of itself has no position."""
 
+LARGEST_GAP_SIGMA_M = 1.0
+"""The residual process learns from boxes in gaps of a log where these say the place to this."""
+
 UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
@@ -57,6 +61,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
         prior: Prior of the camera; None: that of an ordinary one.
         source_priors: Priors of the biases of sources, by their names; others have ``prior``'s.
+        noise: Noise of a foot, taken as known; None: estimated from the residuals.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.
@@ -78,6 +83,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         residual: bool = True,
         prior: CameraPrior | None = None,
         source_priors: Mapping[str, SourcePrior] | None = None,
+        noise: PixelNoise | None = None,
         position_known: bool = True,
         heaving: bool = False,
         starts: int = 8,
@@ -88,6 +94,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.residual = residual
         self.prior = prior
         self.source_priors = source_priors
+        self.noise = noise
         self.position_known = position_known
         self.heaving = heaving
         self.starts = starts
@@ -126,7 +133,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 for name, belief in (self.source_priors or {}).items()
                 if name in self.sources_
             },
-            noise=PixelNoise(correlated_m=0.0) if n == 0 else None,
+            noise=PixelNoise(correlated_m=0.0) if n == 0 else self.noise,
             settings=CameraFitSettings(
                 position_known=self.position_known,
                 heaving=self.heaving,
@@ -425,6 +432,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 & np.isfinite(targets).all(axis=1)
                 & (noise[:, 0] < LARGEST_RELATIVE_SIGMA)
                 & ~self.fit_.outlier[:n]
+                # What a vessel did in a gap of its log is not what the camera leaves.
+                & (observations.fix_sigma_m <= max(self.fit_.noise.place_m, LARGEST_GAP_SIGMA_M))
             )
         if usable.sum() < FEWEST_FOR_RESIDUAL:
             return
@@ -452,6 +461,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
 
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
+
+    def without_residual(self) -> Self:
+        """The camera of this model alone."""
+        plain = copy.copy(self)
+        plain.residual = False
+        plain.range_process_ = plain.bearing_process_ = None
+        return plain
 
     def state(self) -> tuple[Arrays, Settings]:
         """State that `from_state` restores: arrays, and the rest as JSON can hold it."""

@@ -32,6 +32,7 @@ from sightline.plausibility import check_near
 from sightline.progress import Progress
 from sightline.scene import Scene
 from sightline.scene.correspondences import collect
+from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
@@ -196,8 +197,8 @@ def score(
             parts[one.recording] = pairs
     if not parts:
         raise InputError(
-            "no box falls between two fixes of its log that are near enough to each other; check "
-            "the clocks and the log"
+            "no box falls between two fixes of its log that are near enough to each other for a "
+            f"score ({LARGEST_GAP_S:g} s); check the clocks, and that the log is not too sparse"
         )
     return summarise(parts, delta_s=delta_s)
 
