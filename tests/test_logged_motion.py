@@ -18,7 +18,7 @@ from sightline.logged_motion import (
     log_likelihood,
     spikes,
 )
-from sightline.simulation import Harbour
+from sightline.simulation import Harbour, HarbourSettings
 from sightline.synchronisation import distinct
 from sightline.types import FloatArray
 
@@ -91,7 +91,7 @@ def test_how_restless_a_vessel_is_its_log_tells(density: float) -> None:
 @pytest.mark.parametrize("off_m", [15.0, 60.0, 3000.0])
 @pytest.mark.parametrize("every_s", [1, 10])
 def test_a_fix_that_leaps_off_does_not_make_a_vessel_restless(off_m: float, every_s: int) -> None:
-    harbour = Harbour.random(2, duration_s=240.0)
+    harbour = Harbour.random(2, HarbourSettings(duration_s=240.0))
     log = harbour.fixes()[::every_s]
     places = np.stack(harbour.plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
     clean = estimate_motion(log.time_utc_s, places)
@@ -122,7 +122,7 @@ def left_out(
 def test_boats_of_a_harbour_are_where_a_thinned_log_says(every_s: float) -> None:
     off, sigma = [], []
     for seed in range(6):
-        harbour = Harbour.random(seed, duration_s=240.0)
+        harbour = Harbour.random(seed, HarbourSettings(duration_s=240.0))
         times = harbour.start_utc_s + np.arange(0.0, 240.0, 1.0)
         truth = harbour.truth(times)
         path = np.stack([truth.east_m, truth.north_m], axis=1)

@@ -164,9 +164,11 @@ def test_spoilt_headings_are_skipped_and_counted(
     np.testing.assert_allclose(found.time_utc_s - NOON_S, [0.0, 4.0, 5.0])
     np.testing.assert_allclose(found.heading_deg, [10.0, 10.0, 12.0])
     assert [record.getMessage() for record in caplog.records] == [
-        f"{path}: left out: 1 sentences with a heading with a wrong checksum (line 4: "
-        "$HEHDT,17.0,T*1F), 1 HDT with a heading that cannot be read (line 6: $HEHDT,north,T*6E), "
-        "1 HDT without a heading (line 8: $HEHDT,,T*01)"
+        (
+            f"{path}: left out: 1 sentences with a heading with a wrong checksum (line 4: "
+            "$HEHDT,17.0,T*1F), 1 HDT with a heading that cannot be read (line 6: $HEHDT,north,T*6E), "
+            "1 HDT without a heading (line 8: $HEHDT,,T*01)"
+        )
     ]
 
 

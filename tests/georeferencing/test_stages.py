@@ -22,7 +22,7 @@ from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.stages import Quality
 from sightline.scene import Scene
 from sightline.scene.correspondences import collect
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise, SimulatedCamera
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise, SimulatedCamera
 from sightline.types import Fixes, FloatArray, StrArray
 
 DURATION_S = 200.0
@@ -56,7 +56,9 @@ class World:
 @pytest.fixture(scope="module")
 def world(tmp_path_factory: pytest.TempPathFactory, small_camera: SimulatedCamera) -> World:
     folder = tmp_path_factory.mktemp("stages")
-    harbour = Harbour.random(5, duration_s=DURATION_S, camera=small_camera, gulls=0)
+    harbour = Harbour.random(
+        5, HarbourSettings(duration_s=DURATION_S, camera=small_camera, gulls=0)
+    )
     boxes = harbour.boxes(harbour.times(2.0), noise=BoxNoise(std_px=1.0, source="drawn"))
     write_boxes(boxes, folder / "boxes.csv")
     (folder / "scene.toml").write_text(

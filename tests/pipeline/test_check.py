@@ -18,7 +18,7 @@ from sightline.errors import SightlineError
 from sightline.pipeline.check import CheckReport, check, check_scene
 from sightline.pipeline.file_checks import hours_apart
 from sightline.scene import Scene
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 from sightline.types import Fixes, Frame
 from sightline.video import write_video
 
@@ -29,7 +29,12 @@ START_UTC_S = 1_717_236_000.0
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("check") / "harbour"
-    simulate(folder, video=False, recordings=2, duration_s=40.0, seed=3, image_size_px=SIZE_PX)
+    simulate(
+        folder,
+        SimulationSettings(
+            video=False, recordings=2, duration_s=40.0, seed=3, image_size_px=SIZE_PX
+        ),
+    )
     return folder
 
 

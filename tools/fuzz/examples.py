@@ -20,7 +20,7 @@ from sightline.formats.labels import Labels, write_labels
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 from sightline.types import PointKind, Track
 
 SIZE_PX = (640, 360)
@@ -77,12 +77,14 @@ def _harbour(folder: Path) -> None:
         made = folder / name
         simulate(
             made,
-            video=False,
-            recordings=1 if moving else 2,
-            duration_s=12.0,
-            seed=1,
-            image_size_px=SIZE_PX,
-            moving=moving,
+            SimulationSettings(
+                video=False,
+                recordings=1 if moving else 2,
+                duration_s=12.0,
+                seed=1,
+                image_size_px=SIZE_PX,
+                moving=moving,
+            ),
         )
         for path in sorted(made.glob("truth*")):
             shutil.rmtree(path) if path.is_dir() else path.unlink()

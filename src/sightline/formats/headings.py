@@ -62,10 +62,7 @@ def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -
         InputError: A cell is no number, or the times of the headings do not increase.
     """
     own = Tally(path) if tally is None else tally
-    if is_log_table(_files.beginning(path)):
-        found = _in_table(path)
-    else:
-        found = _in_sentences(path, own)
+    found = _in_table(path) if is_log_table(_files.beginning(path)) else _in_sentences(path, own)
     if found is not None:
         own.count("headings", len(found))
     if tally is None:

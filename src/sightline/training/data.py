@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.boxes_csv import refuse_empty
+from sightline.formats._box_table import refuse_empty
 from sightline.formats.labels import EMPTY_TABLE, Margin, empty_frames, parse_margins, tables_folder
 from sightline.scene import Recording, Scene
 from sightline.simulation import Harbour, HarbourSettings, Renderer
