@@ -140,6 +140,34 @@ def test_the_date_line_is_no_jump() -> None:
     assert implausible(*log).kept.all()
 
 
+def test_a_vessel_moored_on_the_date_line_stays_there() -> None:
+    rng = np.random.default_rng(0)
+    east, north = 2.0 * rng.standard_normal((2, 200))
+    log = on_earth(np.arange(200.0), east, north, longitude_deg=180.0)
+    assert (np.diff(np.sign(log[2])) != 0).sum() > 50
+    assert implausible(*log).kept.all()
+
+
+def test_between_sparse_fixes_there_is_time_to_go_out_and_back() -> None:
+    time_s = np.arange(0.0, 2000.0, 10.0)
+    east, north = 5.0 * time_s, np.zeros(200)
+    # 200 m within 10 s, from rest to rest, is 8 m/s².
+    north[77] = 200.0
+    assert implausible(*on_earth(time_s, east, north)).kept.all()
+    # 300 m is 12 m/s².
+    north[77] = 300.0
+    assert np.flatnonzero(~implausible(*on_earth(time_s, east, north)).kept).tolist() == [77]
+
+
+def test_what_a_poor_receiver_means_is_kept() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        time_s, east, north = boat(seed, n=1000, noise_m=0.0)
+        # Errors with tails heavier than those of the normal distribution, as among buildings.
+        east, north = east + rng.laplace(0.0, 3.0, 1000), north + rng.laplace(0.0, 3.0, 1000)
+        assert implausible(*on_earth(time_s, east, north)).kept.all()
+
+
 def test_zeros_are_no_place_but_off_ghana() -> None:
     time_s, latitude, longitude = on_earth(*boat(6))
     latitude[[3, 50, 51]] = longitude[[3, 50, 51]] = 0.0

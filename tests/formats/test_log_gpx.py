@@ -64,7 +64,7 @@ FORMS = {
     "times and speeds of extensions": ROOT
     + TRACK.format(
         points(
-            inside="<a:time>1999-01-01T00:00:00Z</a:time>" + TIMED + "<extensions>"
+            inside=TIMED + "<a:time>1999-01-01T00:00:00Z</a:time><extensions>"
             "<a:speed>3,1</a:speed><time>1999-01-01T00:00:00Z</time></extensions>"
         )
     )
