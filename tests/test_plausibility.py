@@ -168,6 +168,15 @@ def test_what_a_poor_receiver_means_is_kept() -> None:
         assert implausible(*on_earth(time_s, east, north)).kept.all()
 
 
+@pytest.mark.parametrize("digits", [2, 3, 4, 5])
+def test_places_that_were_rounded_are_kept(digits: int) -> None:
+    for seed in range(5):
+        time_s, latitude, longitude = on_earth(*boat(seed, n=500))
+        for unit in (1.0, 60.0):
+            places = (np.round(axis * unit, digits) / unit for axis in (latitude, longitude))
+            assert implausible(time_s, *places).kept.all()
+
+
 def test_zeros_are_no_place_but_off_ghana() -> None:
     time_s, latitude, longitude = on_earth(*boat(6))
     latitude[[3, 50, 51]] = longitude[[3, 50, 51]] = 0.0

@@ -9,8 +9,8 @@ good log loses nothing:
 * A short stretch off the track and back. Who leaves his line by d metres within a time t, from
   rest to rest against it, accelerates by 4 d / t² at least; what would take more than
   `HARDEST_MPS2` both out and back again, between fixes that fit each other without it, did not
-  happen. A jump counts only where it stands out from the noise of its log, and from
-  `SMALLEST_JUMP_M`.
+  happen. A jump counts only where it stands out from the noise of its log, from what its places
+  were rounded to, and from `SMALLEST_JUMP_M`.
 
 A step to another place without a return is left: nothing tells which side of it is right.
 """
@@ -49,6 +49,7 @@ _REACH_SLACK_M = 50.0
 _NOISES = 8.0
 _LOCAL_NOISES = 4.0
 _MAD = 1.4826
+_GRIDS, _ON_GRID = 2.5, 1e-3
 _NEIGHBOURS = 4
 _LOCAL = 15
 _AT_AN_END = 2
@@ -202,6 +203,7 @@ def _longest_chain(
     """
     # Whole seconds may have lost almost one.
     cut_off_s = 1.0 if np.array_equal(time_s, np.floor(time_s)) else 0.0
+    slack_m = max(_REACH_SLACK_M, _GRIDS * _grid_m(latitude_deg, longitude_deg))
 
     def way(before: IntArray, after: IntArray) -> tuple[FloatArray, BoolArray]:
         """Metres between fixes, and whether they could be gone."""
@@ -209,7 +211,7 @@ def _longest_chain(
             latitude_deg[before], longitude_deg[before], latitude_deg[after], longitude_deg[after]
         )
         most_s = time_s[after] - time_s[before] + cut_off_s
-        return way_m, np.asarray(way_m <= FASTEST_MPS * most_s + _REACH_SLACK_M)
+        return way_m, np.asarray(way_m <= FASTEST_MPS * most_s + slack_m)
 
     n = time_s.size
     rows = np.arange(n)
@@ -252,7 +254,9 @@ def _astray(time_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatAr
         _NOISES * _MAD * float(np.median(size_m)),
         _LOCAL_NOISES * _rolling_median(size_m[:, None], _LOCAL)[:, 0],
     )
-    floor_m = np.maximum(SMALLEST_JUMP_M, noise_m)
+    floor_m = np.maximum(
+        max(SMALLEST_JUMP_M, _GRIDS * _grid_m(latitude_deg, longitude_deg)), noise_m
+    )
     bound_m = np.maximum(floor_m, HARDEST_MPS2 * step_s**2 / 4.0)
     breaks = np.flatnonzero(size_m > bound_m)
     if not breaks.size:
@@ -275,6 +279,20 @@ def _astray(time_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatAr
     if not off.any():
         off[_at_ends(step_s, size_m / bound_m)] = True
     return off
+
+
+def _grid_m(latitude_deg: FloatArray, longitude_deg: FloatArray) -> float:
+    """Metres to which places were rounded, as decimals of degrees or of minutes; 0 for finer."""
+    grid_deg = max(_grid_deg(latitude_deg), _grid_deg(longitude_deg))
+    return float(np.radians(grid_deg) * _EARTH_M)
+
+
+def _grid_deg(values_deg: FloatArray) -> float:
+    for grid_deg in (1e-2, 1e-2 / 6.0, 1e-3, 1e-3 / 6.0, 1e-4, 1e-4 / 6.0):
+        steps = values_deg / grid_deg
+        if (np.abs(steps - np.round(steps)) < _ON_GRID).all():
+            return grid_deg
+    return 0.0
 
 
 def _lonely(breaks: IntArray, n: int, out: int, back: int) -> bool:

@@ -82,6 +82,7 @@ TEXTS = {
     "other columns between": table("id,time,speed,lat,lon,alt", "7,{0},3.1,{1},{2},12"),
     "semicolons": table("time_utc;latitude_deg;longitude_deg", "{0};{1};{2}"),
     "tabs": table("time\tlatitude\tlongitude", "{0}\t{1}\t{2}"),
+    "blanks": table("time latitude longitude", "{0}  {1} {2}"),
     "bars": table("time|latitude|longitude", "{0}|{1}|{2}"),
     "decimal commas": table(
         "time;lat;lon",

@@ -31,7 +31,7 @@ MISSING = (
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
 # Times in steps of two seconds or more that three fixes share, or a single one that many do.
-_COARSEST_S, _MANY, _MOST_A_SECOND = 2.0, 3, 60
+_COARSEST_S, _MANY, _MOST_A_SECOND = 2.0, 3, 10
 # gzip, zip (also of spreadsheets), xz, bzip2, Zstandard.
 _PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", b"BZh", b"\x28\xb5\x2f\xfd")
 _NO_INT64 = 2.0**63

@@ -51,7 +51,9 @@ _HEADINGS = ("headingdeg", "headingtrue", "headingtruedeg", "trueheading", "true
 _ANY_TIME = frozenset((*sum(_TIMES, ()), *_DATES, *_LOCAL))
 _ANY_LATITUDE, _ANY_LONGITUDE = frozenset(sum(_LATITUDES, ())), frozenset(sum(_LONGITUDES, ()))
 
-_DELIMITERS = (",", ";", "\t", "|")
+# Other characters that end lines elsewhere may stand in names.
+_NEW_LINE = re.compile("\r\n|\r|\n")
+_DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "//", "%")
 _HEADER_WITHIN = 60
 _MOST_BYTES = 512 * 2**20
@@ -90,14 +92,14 @@ def plain(name: str) -> str:
 
 def is_log_table(head: str) -> bool:
     """Whether a text begins as a table with a time and a place, by the names of its columns."""
-    return _header(head.splitlines()) is not None
+    return _header(_NEW_LINE.split(head)) is not None
 
 
 def read_log_table(path: str | os.PathLike[str], *, heading: bool = False) -> LogTable:
     """The time and the place in each row of a table, whatever its program calls them.
 
-    Columns are parted by commas, semicolons, tabs or bars. Lines before the header, and those that
-    begin with ``#``, ``//`` or ``%``, are passed over.
+    Columns are parted by commas, semicolons, tabs, bars or blanks. Lines before the header, and
+    those that begin with ``#``, ``//`` or ``%``, are passed over.
 
     Args:
         path: The file.
@@ -108,7 +110,7 @@ def read_log_table(path: str | os.PathLike[str], *, heading: bool = False) -> Lo
             several, or a row has more cells than the header.
     """
     text = _files.whole_text(path, _MOST_BYTES)
-    lines = text.splitlines()
+    lines = _NEW_LINE.split(text.rstrip("\r\n"))
     found = _header(lines)
     if found is None:
         raise InputError(f"{path}: {_what_lacks(lines)}")
