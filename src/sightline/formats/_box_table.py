@@ -462,7 +462,7 @@ def _with_a_box(
     tally: Tally,
 ) -> BoolArray:
     """(N,) bool, which rows hold a box; unless they may be left out, others are refused."""
-    known = np.isfinite(xyxy_px).all(axis=1)
+    known: BoolArray = np.asarray(np.isfinite(xyxy_px).all(axis=1))
     with np.errstate(over="ignore", invalid="ignore"):
         size = xyxy_px[:, 2:] - xyxy_px[:, :2]
     backwards = known & (size < 0.0).any(axis=1)
