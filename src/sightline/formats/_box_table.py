@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -176,9 +176,7 @@ def _chunks(
     """Rows by the number of their columns; the index is the line."""
     texts = {form.places[role] for role in _TEXT_ROLES if role in form.places}
     # Somebody may be called "nan" or "NA".
-    missing: dict[Any, list[str]] = {
-        i: [""] if i in texts else list(_files.MISSING) for i in range(form.columns)
-    }
+    missing = {i: [""] if i in texts else list(_files.MISSING) for i in range(form.columns)}
     try:
         reader = pd.read_csv(
             path,
@@ -195,7 +193,8 @@ def _chunks(
             chunksize=chunk_rows,
             dtype=dict.fromkeys(texts, str),
             keep_default_na=False,
-            na_values=missing,
+            # Its annotations know only columns whose names are texts.
+            na_values=cast("dict[str, list[str]]", missing),
             low_memory=False,
         )
         with reader:
