@@ -380,7 +380,9 @@ def test_boxes_without_height_are_left_out_and_said_once(
         *("--clock", harbour / "clock" / "01.csv", "-o", tmp_path / "t.csv"),
     )
     assert done.status == 0
-    assert done.err == f"warning: {path}: 1 boxes without width or height are left out\n"
+    assert done.err == (
+        f"warning: {path}: left out: 1 without width or height (line 42: 10,20,30,20)\n"
+    )
     (track,) = Tracks.read(tmp_path / "t.csv")
     assert len(track) <= len(lines) - 1
 

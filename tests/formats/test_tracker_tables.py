@@ -321,6 +321,7 @@ HUGE = "1" + "0" * 400
         ),
         ("a.csv", "frame,x1,y1,x2,y2,track_id\n0,1,2,3,4,boat-7\n", "boat-7 is no number"),
         ("a.csv", "# nothing\n\n", "holds no table"),
+        ("a.csv", "frame,x,y,w,h\n0,1e308,0,1e308,4\n", "line 2: inf is too large a number"),
     ],
 )
 def test_what_cannot_be_understood_is_told_in_a_line(

@@ -302,7 +302,7 @@ def track_table(tracks: Iterable[Track]) -> pd.DataFrame:
 
 
 def read_tracks(
-    path: str | os.PathLike[str], *, plane: LocalPlane | None = None
+    path: str | os.PathLike[str], *, plane: LocalPlane | None = None, tally: Tally | None = None
 ) -> tuple[Track, ...]:
     """The tracks of a GeoJSON, GPX, CSV, Parquet or GeoPackage file.
 
@@ -313,8 +313,14 @@ def read_tracks(
     Args:
         path: The file.
         plane: The plane of the tracks; None: one that touches the earth at the first point.
+        tally: Counts tracks and points.
 
     Raises:
         InputError: The ending is unknown, or the file cannot be used.
     """
-    return _track_table.tracks(path, _by_suffix(path, _READERS, "tracks")(path), plane)
+    found = _track_table.tracks(path, _by_suffix(path, _READERS, "tracks")(path), plane)
+    if tally is not None:
+        tally.format = f"tracks ({Path(path).suffix[1:].lower()})"
+        tally.count("tracks", len(found))
+        tally.count("points", sum(len(track) for track in found))
+    return found

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -176,9 +176,7 @@ def _chunks(
     """Rows by the number of their columns; the index is the line."""
     texts = {form.places[role] for role in _TEXT_ROLES if role in form.places}
     # Somebody may be called "nan" or "NA".
-    missing: dict[Any, list[str]] = {
-        i: [""] if i in texts else list(_files.MISSING) for i in range(form.columns)
-    }
+    missing = {i: [""] if i in texts else list(_files.MISSING) for i in range(form.columns)}
     try:
         reader = pd.read_csv(
             path,
@@ -195,7 +193,8 @@ def _chunks(
             chunksize=chunk_rows,
             dtype=dict.fromkeys(texts, str),
             keep_default_na=False,
-            na_values=missing,
+            # Its annotations know only columns whose names are texts.
+            na_values=cast("dict[str, list[str]]", missing),
             low_memory=False,
         )
         with reader:
@@ -434,7 +433,7 @@ def _without(rows: pd.DataFrame, bad: BoolArray, reason: str, tally: Tally) -> p
 def _corners(
     path: str | os.PathLike[str], form: TableForm, meaning: _Meaning, rows: pd.DataFrame
 ) -> FloatArray:
-    """(N, 4) pixels; NaN only where a cell is empty and such rows are left out."""
+    """(N, 4) pixels; not finite only where such rows are left out."""
     columns = []
     for role in form.geometry:
         values = _values(form, rows, role)
@@ -443,14 +442,15 @@ def _corners(
         if meaning.tolerant:
             bad &= column.notna().to_numpy() & ~np.isinf(values)
         _files.refuse(path, rows.index, bad, column, f"is no number ({form.name(role)})")
-        columns.append(np.where(np.isfinite(values), values, np.nan))
+        columns.append(values)
     first, second, third, fourth = columns
-    if form.extent == "centre":
-        first, second = first - 0.5 * third, second - 0.5 * fourth
-    if form.extent != "corners" and not meaning.corners:
-        third, fourth = first + third, second + fourth
-    four = np.column_stack([first, second, third, fourth])
-    return np.asarray(four * np.tile(meaning.scale_px, 2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        if form.extent == "centre":
+            first, second = first - 0.5 * third, second - 0.5 * fourth
+        if form.extent != "corners" and not meaning.corners:
+            third, fourth = first + third, second + fourth
+        four = np.column_stack([first, second, third, fourth])
+        return np.asarray(four * np.tile(meaning.scale_px, 2))
 
 
 def _with_a_box(
@@ -461,11 +461,13 @@ def _with_a_box(
     tally: Tally,
 ) -> BoolArray:
     """(N,) bool, which rows hold a box; unless they may be left out, others are refused."""
-    size = xyxy_px[:, 2:] - xyxy_px[:, :2]
-    known = np.isfinite(size).all(axis=1)
+    known: BoolArray = np.asarray(np.isfinite(xyxy_px).all(axis=1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = xyxy_px[:, 2:] - xyxy_px[:, :2]
     backwards = known & (size < 0.0).any(axis=1)
     empty = known & ~backwards & (size == 0.0).any(axis=1)
     if not meaning.tolerant:
+        _files.refuse(path, lines, ~known, xyxy_px[:, 2], "is too large a number")
         refuse_empty(path, lines, xyxy_px)
     for bad, reason in ((~known, NOT_A_NUMBER), (backwards, REVERSED), (empty, NO_SIZE)):
         if bad.any():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -50,6 +51,8 @@ from sightline.types import (
 )
 from sightline.video.reader import frame_count
 from sightline.water import WaterLevels
+
+_logger = logging.getLogger(__name__)
 
 DEFAULT_TRAJECTORY = "rts"
 
@@ -294,7 +297,8 @@ def follow(
     """
     first_s: list[float] = []
     book = _OpenTracks(settings, highest_id)
-    compensated = map(model.compensated, batches)
+    boxes_seen = [0]
+    compensated = map(model.compensated, _counted(batches, boxes_seen))
     if highest_id == NO_TRACK:
         tracker = _tracker(model, settings, platform)
         ended = book.ended_by_moment(_followed(compensated, model, first_s, tracker))
@@ -318,6 +322,19 @@ def follow(
             yield made
     if count == 0:
         check_frame_rate(first_s, "boxes", model)
+        if boxes_seen[0]:
+            _logger.warning(
+                "no track came of %d boxes: a track needs boxes below the horizon over at least "
+                "%g s, which have a track id in common, or of which one is of confidence 0.4",
+                boxes_seen[0],
+                settings.shortest_s,
+            )
+
+
+def _counted(batches: Iterable[ObservedBoxes], seen: list[int]) -> Iterator[ObservedBoxes]:
+    for batch in batches:
+        seen[0] += len(batch.boxes)
+        yield batch
 
 
 def _tracker(model: Georeferencer, settings: TrackSettings, platform: Platform | None) -> Tracker:
