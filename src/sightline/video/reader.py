@@ -165,7 +165,7 @@ def frames(
 def _told(found: Iterator[Frame], tally: Tally) -> Iterator[Frame]:
     try:
         yield from found
-    except InputError:
+    except BrokenOffError:
         tally.warn(_logger)
         raise
     tally.warn(_logger)
