@@ -49,8 +49,8 @@ class VideoInfo:
 def video_info(path: str | os.PathLike[str], *, tally: Tally | None = None) -> VideoInfo:
     """Size, exact presentation times and creation time of a video file.
 
-    Where the packets tell the times beyond doubt, the pictures are not decoded, which takes a
-    second for an hour; else all are, which takes as long as to read its frames.
+    Where the packets tell the times beyond doubt, the pictures are not decoded, and it takes as
+    long as to read the file; else all are, and it takes as long as to look at every frame.
 
     Args:
         path: A video file.
