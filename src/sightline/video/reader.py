@@ -242,10 +242,7 @@ def _pictures(folder: FolderReader, thinned: _Thinned) -> Iterator[Frame]:
     for index in folder:
         when_s = thinned.time_utc_s(index)
         if thinned.wants(when_s):
-            image = folder.read(index)
-            if image is not None:
-                yield Frame(index, when_s, image)
-    folder.finish()
+            yield Frame(index, when_s, folder.read(index))
 
 
 def _decoded(
