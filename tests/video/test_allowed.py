@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import socket
 import threading
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 from videos import write
 
+import sightline
 from sightline.errors import InputError
 from sightline.video import containers, frames, video_info
 
@@ -156,6 +158,14 @@ def test_a_playlist_on_the_web_never_leads_to_a_file(tmp_path: Path, serve: Serv
         list(frames(f"{address}/a.m3u8"))
 
 
+def test_a_playlist_on_the_web(tmp_path: Path, serve: Serve) -> None:
+    segment = write(tmp_path / "1.ts", TIMES).read_bytes()
+    playlist = PLAYLISTS["a.m3u8"].format(url="1.ts").encode()
+    address = serve({"/a.m3u8": playlist, "/1.ts": segment})
+    times = [frame.time_utc_s for frame in frames(f"{address}/a.m3u8", start_utc_s=7.0)]
+    assert times == pytest.approx([7.0, 7.1, 7.2, 7.3, 7.4])
+
+
 def test_a_video_on_the_web(tmp_path: Path, serve: Serve) -> None:
     path = write(tmp_path / "a.mp4", TIMES)
     address = serve({"/a.mp4": path.read_bytes()})
@@ -170,3 +180,18 @@ def test_a_video_has_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(containers, "MOST_PIXELS", 64 * 48 - 1)
     with pytest.raises(InputError, match="64 x 48 px are too large"):
         frames(path)
+
+
+def test_one_place_opens_pictures_and_one_opens_videos() -> None:
+    source = Path(sightline.__file__).parent
+    openers = re.compile(r"Image\.open|cv2\.imread|VideoCapture|av\.open|imageio|plt\.imread")
+    found = {
+        (path.relative_to(source).as_posix(), opener)
+        for path in source.rglob("*.py")
+        for opener in openers.findall(path.read_text(encoding="utf-8"))
+    }
+    assert found == {
+        ("video/pictures.py", "Image.open"),
+        ("video/containers.py", "av.open"),
+        ("video/writer.py", "av.open"),
+    }

@@ -329,8 +329,8 @@ def test_grey_of_sixteen_bits_is_scaled_by_its_range(tmp_path: Path) -> None:
     assert any("scaled from 3000 to 3400" in note for note in tally.notes)
 
 
-@pytest.mark.parametrize(("name", "cut"), [("a.mp4", 0.6), ("a.mkv", 0.6), ("a.avi", 0.6)])
-def test_what_is_cut_short_breaks_off(tmp_path: Path, name: str, cut: float) -> None:
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.avi"])
+def test_what_is_cut_short_breaks_off(tmp_path: Path, name: str) -> None:
     path = write(tmp_path / name, TEN_HZ, tick=Fraction(1, 10), options={"movflags": "+faststart"})
     data = path.read_bytes()
     places = packet_places(path)

@@ -53,6 +53,13 @@ def test_what_a_video_says_of_itself(video: Path, irregular_s: np.ndarray) -> No
     np.testing.assert_allclose(info.presentation_s, irregular_s - START_S, rtol=0, atol=9e-6)
 
 
+def test_names_are_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("http:a.mp4", "-a.mp4", "%d.mp4", "a|b.mp4"):
+        assert write_video(name, pictures(START_S + np.arange(3.0))) == 3
+        assert len(list(frames(name))) == 3
+
+
 def test_the_start_may_be_given(video: Path, irregular_s: np.ndarray) -> None:
     times = [f.time_utc_s for f in frames(video, start_utc_s=1000.0)]
     np.testing.assert_allclose(times, irregular_s - START_S + 1000.0, rtol=0, atol=9e-6)

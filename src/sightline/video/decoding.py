@@ -12,6 +12,7 @@ import statistics
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import av
 from av.codec.context import Flags
@@ -173,8 +174,7 @@ def _places(frames: list[int]) -> str:
     return f"frame {frames[0]}{more}"
 
 
-@dataclass(frozen=True, order=True)
-class Key:
+class Key(NamedTuple):
     """Where the picture of a packet stands in the order of showing.
 
     Attributes:

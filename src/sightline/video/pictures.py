@@ -108,7 +108,7 @@ def _shown(stored: Image.Image, grey: GreyScale) -> NDArray[np.uint8]:
 
 def _no_picture(path: str | os.PathLike[str]) -> InputError:
     return InputError(
-        f"{path}: is no picture that can be read ({', '.join(_FORMATS)}), or is damaged"
+        f"{path}: is no picture that can be read, or is damaged; known are {', '.join(_FORMATS)}"
     )
 
 
@@ -156,25 +156,20 @@ class FolderReader:
         self.pictures = numbered_pictures(folder)
         self._folder, self._tally, self._grey = folder, tally, GreyScale()
         self._first: tuple[Path, tuple[int, int]] | None = None
-        self._error: InputError | None = None
         tally.format = "folder of pictures"
 
     def __iter__(self) -> Iterator[int]:
         return iter(self.pictures)
 
-    def read(self, index: int) -> NDArray[np.uint8] | None:
-        """A frame's picture; None for one that cannot be read, which is counted.
+    def read(self, index: int) -> NDArray[np.uint8]:
+        """A frame's picture.
 
         Raises:
+            InputError: It cannot be read.
             BrokenOffError: It has another size than the first.
         """
         path = self.pictures[index]
-        try:
-            image = read_picture(path, grey=self._grey)
-        except InputError as error:
-            self._error = self._error or error
-            self._tally.leave_out("damaged pictures", row=f"frame {index}", text=path.name)
-            return None
+        image = read_picture(path, grey=self._grey)
         size = image.shape[1], image.shape[0]
         if self._first is None:
             self._first = path, size
@@ -187,12 +182,3 @@ class FolderReader:
             )
         self._tally.count("frames")
         return image
-
-    def finish(self) -> None:
-        """Raise what was wrong where no picture could be read.
-
-        Raises:
-            InputError: Of all that were asked for, none could be read.
-        """
-        if self._first is None and self._error is not None:
-            raise self._error

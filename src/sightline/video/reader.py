@@ -49,8 +49,8 @@ class VideoInfo:
 def video_info(path: str | os.PathLike[str], *, tally: Tally | None = None) -> VideoInfo:
     """Size, exact presentation times and creation time of a video file.
 
-    Where the packets tell the times beyond doubt, the pictures are not decoded, which takes a
-    second for an hour; else all are, which takes as long as to read its frames.
+    Where the packets tell the times beyond doubt, the pictures are not decoded, and it takes as
+    long as to read the file; else all are, and it takes as long as to look at every frame.
 
     Args:
         path: A video file.
@@ -165,7 +165,7 @@ def frames(
 def _told(found: Iterator[Frame], tally: Tally) -> Iterator[Frame]:
     try:
         yield from found
-    except InputError:
+    except BrokenOffError:
         tally.warn(_logger)
         raise
     tally.warn(_logger)
@@ -242,10 +242,7 @@ def _pictures(folder: FolderReader, thinned: _Thinned) -> Iterator[Frame]:
     for index in folder:
         when_s = thinned.time_utc_s(index)
         if thinned.wants(when_s):
-            image = folder.read(index)
-            if image is not None:
-                yield Frame(index, when_s, image)
-    folder.finish()
+            yield Frame(index, when_s, folder.read(index))
 
 
 def _decoded(

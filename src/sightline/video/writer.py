@@ -52,7 +52,11 @@ def write_video(
     start_s = last_s = np.nan
     shape: tuple[int, ...] = ()
     stream: av.VideoStream | None = None
-    with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+    # Without the prefix a name with a colon is taken for an address.
+    with (
+        atomic_path(path) as temporary,
+        av.open(f"file:{temporary}", "w", format="mp4") as container,
+    ):
         for frame in frames:
             if not np.isfinite(frame.time_utc_s):
                 raise InputError(f"{path}: frame {frame.index} has no time, so it has no place")
