@@ -326,8 +326,12 @@ def _decoded(message: Message) -> Any:
         found = pyais.decode(f"!{body}*{reduce(xor, body.encode()):02X}")
     except (pyais.exceptions.AISBaseException, ArithmeticError, LookupError, TypeError, ValueError):
         return None
+    # What a message that is cut short no longer says is None, or made of what is left of it.
     needed = _LEAST_BITS.get(int(found.msg_type), 0)
-    return found if 6 * len(message.payload) - message.fill_bits >= needed else None
+    if 6 * len(message.payload) - message.fill_bits < needed:
+        return None
+    told = (getattr(found, name, None) for name in ("lat", "lon", "speed", "course"))
+    return None if isinstance(found, _POSITION_REPORTS) and None in told else found
 
 
 def _velocity_mps(message: Any) -> tuple[float, float]:
