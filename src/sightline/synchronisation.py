@@ -207,6 +207,17 @@ def synchronise(
     return Synchronised(between(east), between(north), slope(east), slope(north), gap)
 
 
+def _rolled_over(time_utc_s: FloatArray, first_s: float, last_s: float) -> str:
+    """What is to be said where a log is whole turns of the GPS week number too early."""
+    for weeks in (1024, 2048):
+        late_s = time_utc_s - weeks * 7 * 86400.0
+        if ((late_s >= first_s) & (late_s <= last_s)).any():
+            return (
+                f"; the log is {weeks} weeks early, as its receiver's week number has rolled over"
+            )
+    return ""
+
+
 def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
     """Raise InputError where a log does not overlap a recording in time.
 
@@ -226,6 +237,6 @@ def check_overlap(time_utc_s: FloatArray, fixes: Fixes, where: str) -> None:
         raise InputError(
             f"{where}: its log does not overlap it; the recording runs from "
             f"{utc_text(known.min())} to {utc_text(known.max())}, the log from {utc_text(first)} "
-            f"to {utc_text(last)} (UTC)"
+            f"to {utc_text(last)} (UTC){_rolled_over(known, first, last)}"
         )
     raise InputError(f"{where}: has no times or an empty log")

@@ -166,8 +166,8 @@ def test_spoilt_headings_are_skipped_and_counted(
     assert [record.getMessage() for record in caplog.records] == [
         (
             f"{path}: left out: 1 sentences with a heading with a wrong checksum (line 4: "
-            "$HEHDT,17.0,T*1F), 1 HDT with a heading that cannot be read (line 6: $HEHDT,north,T*6E), "
-            "1 HDT without a heading (line 8: $HEHDT,,T*01)"
+            "$HEHDT,17.0,T*1F), 1 HDT with a heading that cannot be read (line 6: "
+            "$HEHDT,north,T*6E), 1 HDT without a heading (line 8: $HEHDT,,T*01)"
         )
     ]
 

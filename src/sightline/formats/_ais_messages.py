@@ -21,7 +21,7 @@ _STATION = re.compile(r"(?:^|,)s:([^,*]+)|^,([rRbB][0-9A-Za-z_]{3,})(?=,|\s|$)")
 _GROUP = re.compile(r"(?:^|,)g:\d+-\d+-(\w+)")
 _CHANNELS = {"1": "A", "2": "B"}
 
-_APART_S = 2.0
+_APART_S = 1.5
 """Parts of a message are sent in slots that follow each other; logs have whole seconds."""
 _APART = 16
 """Most parts of other messages between two parts: ids come again after ten messages."""
@@ -145,11 +145,13 @@ class _Waiting:
         parts: Those that have come, by their number.
         at: When the last came, counted in parts.
         until_s: By when it had come, by the times around it; None while none is known.
+        again: Whether the first to come is the end of a message that is whole: by another station.
     """
 
     parts: dict[int, _Part]
     at: int
     until_s: float | None
+    again: bool
 
     def may_hold(self, part: _Part) -> bool:
         """Whether nothing tells that a part came another way than these."""
@@ -185,15 +187,13 @@ class _Assembly:
         fitting = [message for message in several if self._fits(message, part)]
         if len(fitting) == 1:
             return self._join(fitting[0], part)
-        if part.sentence.body in self._done:
-            self.tally.count("AIS sentences received again")
-            return []
         for message in list(several):
             # Its sender has come round to this id again.
             if part.number in message.parts and message.may_hold(part):
                 self._lose(message)
+        again = part.number > 1 and part.sentence.body in self._done
         self._waiting.setdefault(part.key, []).append(
-            _Waiting({part.number: part}, self._at, part.received_s)
+            _Waiting({part.number: part}, self._at, part.received_s, again)
         )
         return []
 
@@ -242,6 +242,9 @@ class _Assembly:
 
     def _lose(self, message: _Waiting) -> None:
         self._remove(message)
+        if message.again and len(message.parts) == 1:
+            self.tally.count("AIS sentences received again")
+            return
         first = min((part.sentence for part in message.parts.values()), key=lambda one: one.order)
         self.tally.leave_out(
             "parts of AIS messages whose other parts are missing",

@@ -46,6 +46,7 @@ _ACCELERATION_MPS2 = 0.1
 _FASTEST_MPS = 55.0
 _ANOTHER_VESSEL = 3
 _MOST_NAMED = 5
+_MOST_WAYS = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,18 +186,30 @@ def _feed(
         usual = int(np.argmax(np.bincount(ways)))
         kept = ways == usual
         others = np.bincount(ways[~kept], minlength=1)
-        reason = f"reports from where the vessel {mmsi} cannot have come"
+        # A feed may have hundreds of vessels: they are counted together.
+        of = f" {mmsi}" if len(wanted) == 1 else ""
+        reason = f"reports from where the vessel{of} cannot have come"
         if others.max() >= _ANOTHER_VESSEL:
-            reason = f"reports of another vessel that uses the MMSI {mmsi}"
+            reason = f"reports of another vessel that uses the same MMSI{of}"
             shared.append(str(mmsi))
         if not kept.all():
             first = columns[int(np.argmin(kept))]
             text = f"{first[1]:.6f}, {first[2]:.6f} at {_files.rfc3339(first[0])}"
             tally.leave_out(reason, int((~kept).sum()), row=f"line {first[5]:.0f}", text=text)
         columns = columns[kept]
-        usable = _files.usable(path, columns[:, 5].astype(np.int64), *columns[:, :3].T, tally=tally)
-        columns = columns[usable]
-        feed[mmsi] = AisVessel(Fixes(*columns[:, :3].T, name=str(mmsi)), columns[:, 3:5])
+        rows, (time_s, latitude, longitude) = columns[:, 5].astype(np.int64), columns[:, :3].T
+        try:
+            usable = _files.usable(path, rows, time_s, latitude, longitude, tally=tally)
+        except InputError:
+            if len(wanted) == 1:
+                raise
+            # One vessel that is nowhere is no reason to do without the others.
+            tally.leave_out("reports of vessels that no way explains", len(rows))
+            continue
+        feed[mmsi] = AisVessel(
+            Fixes(time_s[usable], latitude[usable], longitude[usable], name=str(mmsi)),
+            columns[usable, 3:5],
+        )
     if shared:
         named = ", ".join(shared[:_MOST_NAMED]) + (" ..." if len(shared) > _MOST_NAMED else "")
         tally.note(
@@ -224,23 +237,23 @@ def _ways(columns: FloatArray) -> IntArray:
     ways = np.zeros(time_s.size, dtype=np.int64)
     if (way_m <= _reach_m(faster, lag_s)).all():
         return ways
-    last = [0]
+    # What each way is, where it ended, and how many it has.
+    open_ways = np.array([[0, 0, 1]])
     for i in range(1, time_s.size):
-        before = np.array(last)
+        before = open_ways[:, 1]
         way_m = distance_m(
-            latitude_deg[before],
-            longitude_deg[before],
-            latitude_deg[i : i + 1],
-            longitude_deg[i : i + 1],
+            latitude_deg[before], longitude_deg[before], latitude_deg[[i]], longitude_deg[[i]]
         )
         faster = np.maximum(speed_mps[before], speed_mps[i])
         share = way_m / _reach_m(faster, time_s[i] - time_s[before])
         best = int(np.argmin(share))
-        if share[best] <= 1.0:
-            ways[i], last[best] = best, i
-        else:
-            ways[i] = len(last)
-            last.append(i)
+        if share[best] > 1.0:
+            if len(open_ways) == _MOST_WAYS:
+                open_ways = np.delete(open_ways, np.argmin(open_ways[:, 2]), axis=0)
+            best = len(open_ways)
+            open_ways = np.vstack([open_ways, [ways[:i].max() + 1, i, 0]])
+        ways[i] = open_ways[best, 0]
+        open_ways[best, 1:] = i, open_ways[best, 2] + 1
     return ways
 
 
@@ -313,8 +326,12 @@ def _decoded(message: Message) -> Any:
         found = pyais.decode(f"!{body}*{reduce(xor, body.encode()):02X}")
     except (pyais.exceptions.AISBaseException, ArithmeticError, LookupError, TypeError, ValueError):
         return None
+    # What a message that is cut short no longer says is None, or made of what is left of it.
     needed = _LEAST_BITS.get(int(found.msg_type), 0)
-    return found if 6 * len(message.payload) - message.fill_bits >= needed else None
+    if 6 * len(message.payload) - message.fill_bits < needed:
+        return None
+    told = (getattr(found, name, None) for name in ("lat", "lon", "speed", "course"))
+    return None if isinstance(found, _POSITION_REPORTS) and None in told else found
 
 
 def _velocity_mps(message: Any) -> tuple[float, float]:

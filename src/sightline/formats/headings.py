@@ -99,8 +99,8 @@ def _in_sentences(path: str | os.PathLike[str], tally: Tally) -> Headings | None
     found = None
     if seen:
         order = np.array([heading.order for heading in seen], dtype=np.int64)
-        received_s = np.array([heading.received_s for heading in seen])
-        times, outside = _times_s(path, order, received_s)
+        stamps_s = np.array([heading.received_s for heading in seen])
+        times, outside = _times_s(path, order, stamps_s)
         tally.leave_out("headings long before the first fix or after the last", int(outside.sum()))
         values = np.array([heading.heading_deg for heading in seen])
         found = _headings(path, times[~outside], values[~outside])

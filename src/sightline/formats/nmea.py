@@ -85,12 +85,12 @@ class TimedSentences:
         return best, best_rows
 
     def _receiver(self, rows: BoolArray) -> BoolArray:
-        fixes = rows & (self.quality > _NONE)
+        fixes: BoolArray = rows & (self.quality > _NONE)
         talkers, counts = np.unique(self.talker[fixes], return_counts=True)
         if talkers.size < 2:
             return rows
         talkers = talkers[np.argsort(-counts, kind="stable")]
-        kept = rows & (self.talker == talkers[0])
+        kept: BoolArray = rows & (self.talker == talkers[0])
         for talker in talkers[1:]:
             more = rows & (self.talker == talker)
             own = self.time_utc_s[more & fixes]
