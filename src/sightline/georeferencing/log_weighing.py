@@ -27,6 +27,8 @@ _SUSPECT = 3.0
 _MEDIAN_LENGTH = 1.1774
 # Fixes further away than this say nothing of an error that leaps.
 _BESIDE_S = 100.0
+# By so much of an error it changes within two fixes where it is one of the log.
+_LEAST_LEAP = 0.5
 # A box tells of a fix that makes up so much of its place.
 _LEAST_SHARE = 0.05
 # More than this share of the boxes is no exception: then the model is wrong.
@@ -182,18 +184,27 @@ def _worst(errors: _FixErrors, standard: FloatArray, scale: float) -> int | None
 
 
 def _leaps(errors: _FixErrors, standard: FloatArray, index: int, scale: float) -> bool:
-    """Whether the error of a fix is no continuation of that of those beside it."""
+    """Whether the error of a fix, or of the stretch that it is in, begins and ends with a leap."""
     own = np.flatnonzero(errors.log == errors.log[index])
-    beside = []
-    # The next fix on either side shares boxes with this one, and looks wrong with it.
-    for side in (own[own < index - 1][::-1], own[own > index + 1]):
-        beside += side[standard[side] < _SUSPECT][:1].tolist()
-    near = [at for at in beside if abs(errors.time_s[at] - errors.time_s[index]) < _BESIDE_S]
+    size_m = float(np.hypot(*errors.error_m[index]))
+    known = False
+    for side in (own[own <= index][::-1], own[own >= index]):
+        # The next fix on either side shares boxes with this one, and looks wrong with it.
+        right = np.flatnonzero(standard[side[2:]] < _SUSPECT)[:1] + 2
+        if not right.size:
+            continue
+        beside = side[int(right[0])]
+        if abs(errors.time_s[beside] - errors.time_s[index]) > _BESIDE_S:
+            continue
+        known = True
+        off = errors.error_m[index] - errors.error_m[[beside]]
+        if _length(off, errors.covariance_m2[[index]])[0] < _WRONG * scale:
+            return False
+        path = errors.error_m[side[: int(right[0]) + 1]]
+        if np.hypot(*(path[2:] - path[:-2]).T).max() < _LEAST_LEAP * size_m:
+            return False
     # In a log that is off as a whole nothing says where it is right.
-    if not near:
-        return False
-    leap = errors.error_m[index] - errors.error_m[near]
-    return bool((_length(leap, errors.covariance_m2[[index]]) > _WRONG * scale).all())
+    return known
 
 
 def _length(error_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:
