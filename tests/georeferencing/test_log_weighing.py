@@ -18,13 +18,14 @@ PER_S = 2.0
 
 
 def world(
-    error_m: FloatArray, *, drift_m: float = 0.0, seed: int = 0
+    error_m: FloatArray, *, drift_m: float = 0.0, drifting: float = 1.0, seed: int = 0
 ) -> tuple[Correspondences, Placement]:
     """Boxes that a model places with two metres of noise, beside a log with an error each fix.
 
     Args:
         error_m: (K, 2) of fixes two seconds apart.
-        drift_m: By how much the model is off at last, in a direction that it reaches slowly.
+        drift_m: By how much the model is off at last, which it reaches slowly.
+        drifting: In the last share of the time.
         seed: Of the noise.
     """
     rng = np.random.default_rng(seed)
@@ -47,7 +48,8 @@ def world(
         plane=LocalPlane(54.0, 10.0),
         fix_time_utc_s=START_UTC_S + np.stack([before, before + EVERY_S], axis=1),
     )
-    slow = np.linspace(0.0, drift_m, n)[:, None] * (1.0, 0.0)
+    late = np.linspace(1.0 - 1.0 / drifting, 1.0, n)
+    slow = drift_m * np.maximum(late, 0.0)[:, None] * (1.0, 0.0)
     placed = true + slow + SIGMA_M * rng.normal(size=(n, 2))
     return pairs, Placement(placed, np.tile(SIGMA_M**2 * np.eye(2), (n, 1, 1)))
 
@@ -92,16 +94,33 @@ def test_a_stretch_is_left_out_whole() -> None:
     assert said.startswith("The fixes from 2024-06-01 10:01:40 to 2024-06-01 10:02:18")
 
 
-def test_what_a_model_is_off_by_slowly_is_no_error_of_the_log() -> None:
-    spoilt, found = wrong_fixes(*world(errors(200), drift_m=60.0))
+@pytest.mark.parametrize("drifting", [0.25, 1.0])
+def test_what_a_model_is_off_by_slowly_is_no_error_of_the_log(drifting: float) -> None:
+    spoilt, found = wrong_fixes(*world(errors(200), drift_m=60.0, drifting=drifting))
     assert not found
     assert not spoilt.any()
 
 
 def test_where_too_many_fixes_look_wrong_the_model_is() -> None:
-    wrong = errors(80)
-    wrong[::3] = (200.0, 0.0)
+    wrong = errors(200)
+    wrong[60:130] = (30.0, 0.0)
     spoilt, found = wrong_fixes(*world(wrong))
+    assert not found
+    assert not spoilt.any()
+
+
+def test_of_a_recording_whose_log_is_off_as_a_whole_nothing_is_left_out() -> None:
+    wrong = errors(200)
+    wrong[170:] = (30.0, 0.0)
+    pairs, placed = world(wrong)
+    last = pairs.boxes.time_utc_s > START_UTC_S + 170 * EVERY_S
+    apart = Correspondences(
+        **{**pairs.__dict__, "recording": np.where(last, "two", "one").astype(str)}
+    )
+    keep = np.flatnonzero(~(pairs.fix_time_utc_s[:, 0] == START_UTC_S + 169 * EVERY_S))
+    spoilt, found = wrong_fixes(
+        apart[keep], Placement(placed.east_north_m[keep], placed.covariance_m2[keep])
+    )
     assert not found
     assert not spoilt.any()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,12 +12,14 @@ from sightline.association.observations import observe
 from sightline.association.search import RecordingObservations
 from sightline.camera.pinhole import Camera
 from sightline.detection import LowerEdge
+from sightline.errors import FitError
 from sightline.formats import write_boxes, write_fixes
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.fit_unlabelled import (
     CORRELATION_TIME_S,
     MOST_A_RECORDING,
     fit_association,
+    fit_scene,
     recognised_correspondences,
 )
 from sightline.reference_trajectory import ReferenceTrajectory
@@ -117,3 +121,37 @@ def test_boxes_that_teach_are_as_far_apart_as_their_errors_last(
     assert apart_s.min() >= CORRELATION_TIME_S - 0.5
     # They are spread over all the time in which the vessel was seen.
     assert np.ptp(pairs.boxes.time_utc_s) > 0.95 * (found.last_utc_s - found.first_utc_s)
+
+
+def thinned(scene: Scene, folder: Path, every: int) -> Scene:
+    """The scene with fewer fixes in its log."""
+    fixes = scene["one"].fixes()
+    write_fixes(fixes[np.arange(0, len(fixes), every)], folder / "log.csv")
+    write_boxes(detections(), folder / "seen.csv")
+    text = scene.path.read_text("utf-8")
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    return Scene.load(folder / "scene.toml")
+
+
+@pytest.mark.slow
+def test_a_vessel_is_recognised_by_a_log_of_a_fix_every_ten_seconds(
+    scene: Scene, tmp_path: Path
+) -> None:
+    fitted = fit_scene(thinned(scene, tmp_path, 10), "camera", detector=None)
+    assert fitted.camera is not None
+    known = {one.name: one for one in fitted.report.parameters}
+    assert known["heading_deg"].value == pytest.approx(CAMERA.heading_deg, abs=1.5)
+    assert known["focal_px"].value == pytest.approx(CAMERA.focal_px, rel=0.08)
+    # The boxes end as far below the water as nobody told, which looks like a higher camera.
+    ranges = fitted.camera.height_m / CAMERA.height_m
+    assert 0.9 < ranges < 1.4
+    assert any("gaps of the log" in said for said in fitted.report.statements)
+
+
+@pytest.mark.slow
+def test_a_log_that_says_too_little_of_how_a_vessel_moves_is_named(
+    scene: Scene, tmp_path: Path
+) -> None:
+    with pytest.raises(FitError, match="there is a fix every 60 s") as caught:
+        fit_scene(thinned(scene, tmp_path, 60), "camera", detector=None)
+    assert "\n" not in str(caught.value)

@@ -94,7 +94,7 @@ class Correspondences:
         boxes are between near fixes, these are all.
         """
         near = self.fix_sigma_m == 0.0
-        if near.mean() > MOST:
+        if not near.size or near.mean() > MOST:
             return np.flatnonzero(near)
         limit_m = np.maximum(CERTAIN_M, CERTAIN_SHARE * np.hypot(*self.east_north_m.T))
         relative = self.fix_sigma_m / limit_m

@@ -92,8 +92,9 @@ class FitReport:
         asked: Boxes that there were.
         control_points: Control points that it learned from.
         recordings: Their names.
-        rmse_m: Root mean square error of the pairs themselves, metres.
-        median_m: Median error of the pairs themselves, metres.
+        rmse_m: Root mean square error of the pairs themselves, metres; of those whose places are
+            certain, where there are gaps in the logs.
+        median_m: Median error of these pairs, metres.
         parameters: Of the camera; none for the paper's models.
         sources: Of the boxes; none for the paper's models.
         clock_offset_s: By recording, how far its clock is to be moved on to agree with the log.
@@ -170,6 +171,7 @@ def fit_report(
         control_points: How many it learned from.
     """
     error = np.hypot(*(places - pairs.east_north_m).T)
+    certain = error[pairs.certain_rows()]
     n = len(pairs)
     leverage, outlier = np.full(n, np.nan), np.zeros(n, dtype=bool)
     residual = np.full(n, np.nan)
@@ -184,8 +186,8 @@ def fit_report(
         asked=pairs.asked,
         control_points=control_points if more else 0,
         recordings=tuple(str(name) for name in np.unique(pairs.recording)),
-        rmse_m=float(np.sqrt(np.nanmean(error**2))) if n else float("nan"),
-        median_m=float(np.nanmedian(error)) if n else float("nan"),
+        rmse_m=float(np.sqrt(np.nanmean(certain**2))) if n else float("nan"),
+        median_m=float(np.nanmedian(certain)) if n else float("nan"),
         boxes=tuple(
             FittedBox(
                 recording=str(pairs.recording[i]),

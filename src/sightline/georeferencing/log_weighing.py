@@ -27,6 +27,8 @@ _SUSPECT = 3.0
 _MEDIAN_LENGTH = 1.1774
 # Fixes further away than this say nothing of an error that leaps.
 _BESIDE_S = 100.0
+# By so much of an error it changes within two fixes where it is one of the log.
+_LEAST_LEAP = 0.5
 # A box tells of a fix that makes up so much of its place.
 _LEAST_SHARE = 0.05
 # More than this share of the boxes is no exception: then the model is wrong.
@@ -107,8 +109,9 @@ def wrong_fixes(
         worst = _worst(errors, standard / scale, scale)
         if worst is None:
             break
-        share, _ = _shares(pairs, errors.time_s[worst])
-        own = known & ~spoilt & (log == errors.log[worst]) & (share > _LEAST_SHARE)
+        box, fix, _, _, _ = _told(pairs[rows], log[rows])
+        own = np.zeros(len(pairs), dtype=bool)
+        own[rows[box[fix == worst]]] = True
         spoilt |= own
         size_m = float(np.hypot(*errors.error_m[worst]))
         name = str(logs[errors.log[worst]][0])
@@ -118,42 +121,54 @@ def wrong_fixes(
     return spoilt, tuple(found)
 
 
-def _shares(pairs: Correspondences, time_s: float) -> tuple[FloatArray, FloatArray]:
-    """(N,) share of a fix in each place, 0 to 1, and (N,) seconds between the fixes around."""
+def _told(
+    pairs: Correspondences, log: IntArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray]:
+    """What boxes tell of fixes, one row a box and fix.
+
+    Returns:
+        (M,) which box, (M,) which fix and (M,) the share of that in the box's place; then, of the
+        fixes, (K,) their times and (K,) their logs.
+    """
     before, after = pairs.fix_time_utc_s.T
     span = np.maximum(after - before, 1e-9)
     late = np.clip((pairs.boxes.time_utc_s - before) / span, 0.0, 1.0)
-    return np.where(before == time_s, 1.0 - late, np.where(after == time_s, late, 0.0)), span
+    # A box at the time of a fix has the same fix on both sides.
+    late = np.where(after == before, 0.0, late)
+    n = len(pairs)
+    box = np.concatenate([np.arange(n), np.arange(n)])
+    share = np.concatenate([1.0 - late, late])
+    key = np.stack([np.concatenate([log, log]), np.concatenate([before, after])], axis=1)
+    tells = share > _LEAST_SHARE
+    fixes, fix = np.unique(key[tells], axis=0, return_inverse=True)
+    return (
+        box[tells],
+        fix.reshape(-1).astype(np.int64),
+        share[tells],
+        fixes[:, 1],
+        fixes[:, 0].astype(np.int64),
+    )
 
 
 def _errors(
     pairs: Correspondences, log: IntArray, off_m: FloatArray, covariance_m2: FloatArray
 ) -> _FixErrors:
-    precision = np.linalg.inv(covariance_m2)
-    logs, times, errors, covariances, counts = [], [], [], [], []
-    for one in np.unique(log):
-        own = np.flatnonzero(log == one)
-        part = pairs[own]
-        for time in np.unique(part.fix_time_utc_s):
-            share, _ = _shares(part, float(time))
-            tells = np.flatnonzero(share > _LEAST_SHARE)
-            if not tells.size:
-                continue
-            h, weight = share[tells], precision[own[tells]]
-            information = np.einsum("n,nij->ij", h * h, weight)
-            # A box is off its log's place by the error of the fix, the other way.
-            pull = -np.einsum("n,nij,nj->i", h, weight, off_m[own[tells]])
-            logs.append(int(one))
-            times.append(float(time))
-            errors.append(np.linalg.solve(information, pull))
-            covariances.append(np.linalg.inv(information) * np.sum(h * h) / h.max() ** 2)
-            counts.append(tells.size)
+    box, fix, share, times, logs = _told(pairs, log)
+    precision = np.linalg.inv(covariance_m2)[box]
+    information, pull = np.zeros((times.size, 2, 2)), np.zeros((times.size, 2))
+    np.add.at(information, fix, (share**2)[:, None, None] * precision)
+    # A box is off its log's place by the error of the fix, the other way.
+    np.add.at(pull, fix, -share[:, None] * np.einsum("nij,nj->ni", precision, off_m[box]))
+    largest = np.zeros(times.size)
+    np.maximum.at(largest, fix, share)
+    inverse = np.linalg.inv(information)
+    alike = np.bincount(fix, share**2, times.size) / largest**2
     return _FixErrors(
-        np.array(logs, dtype=np.int64),
-        np.array(times),
-        np.array(errors).reshape(-1, 2),
-        np.array(covariances).reshape(-1, 2, 2),
-        np.array(counts, dtype=np.int64),
+        logs,
+        times,
+        np.einsum("kij,kj->ki", inverse, pull),
+        inverse * alike[:, None, None],
+        np.bincount(fix, minlength=times.size).astype(np.int64),
     )
 
 
@@ -169,18 +184,27 @@ def _worst(errors: _FixErrors, standard: FloatArray, scale: float) -> int | None
 
 
 def _leaps(errors: _FixErrors, standard: FloatArray, index: int, scale: float) -> bool:
-    """Whether the error of a fix is no continuation of that of those beside it."""
+    """Whether the error of a fix, or of the stretch that it is in, begins and ends with a leap."""
     own = np.flatnonzero(errors.log == errors.log[index])
-    beside = []
-    # The next fix on either side shares boxes with this one, and looks wrong with it.
-    for side in (own[own < index - 1][::-1], own[own > index + 1]):
-        beside += side[standard[side] < _SUSPECT][:1].tolist()
-    near = [at for at in beside if abs(errors.time_s[at] - errors.time_s[index]) < _BESIDE_S]
+    size_m = float(np.hypot(*errors.error_m[index]))
+    known = False
+    for side in (own[own <= index][::-1], own[own >= index]):
+        # The next fix on either side shares boxes with this one, and looks wrong with it.
+        right = np.flatnonzero(standard[side[2:]] < _SUSPECT)[:1] + 2
+        if not right.size:
+            continue
+        beside = side[int(right[0])]
+        if abs(errors.time_s[beside] - errors.time_s[index]) > _BESIDE_S:
+            continue
+        known = True
+        off = errors.error_m[index] - errors.error_m[[beside]]
+        if _length(off, errors.covariance_m2[[index]])[0] < _WRONG * scale:
+            return False
+        path = errors.error_m[side[: int(right[0]) + 1]]
+        if np.hypot(*(path[2:] - path[:-2]).T).max() < _LEAST_LEAP * size_m:
+            return False
     # In a log that is off as a whole nothing says where it is right.
-    if not near:
-        return False
-    leap = errors.error_m[index] - errors.error_m[near]
-    return bool((_length(leap, errors.covariance_m2[[index]]) > _WRONG * scale).all())
+    return known
 
 
 def _length(error_m: FloatArray, covariance_m2: FloatArray) -> FloatArray:

@@ -133,11 +133,12 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
         raise FitError(far)
     certain = pairs.certain_rows()
     if not isinstance(kind, CameraModelType) or not len(pairs):
-        model = kind.fit(_of(observations, certain), seed=seed)
-        if len(pairs):
-            _check(model, _of(observations, certain))
-        return StagedFit(model, certain)
-    first = _First.of(kind, observations, certain, seed)
+        return _in_one(kind, observations, certain, seed)
+    try:
+        first = _First.of(kind, observations, certain, seed)
+    except FitError:
+        # Noise that is estimated may find what the usual one does not.
+        return _in_one(kind, observations, certain, seed)
     model, said = _fitted(kind, _of(observations, first.rows), first, seed)
     rows, statements = first.rows, [*sentences(first.wrong), *said]
     if certain.size < ALMOST_ALL * len(pairs):
@@ -152,6 +153,15 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
             model, rows = wider, whole
         statements.append(_on_gaps(pairs, rows))
     return StagedFit(model, rows, tuple(statements))
+
+
+def _in_one(kind: ModelType, observations: Observations, rows: IntArray, seed: int) -> StagedFit:
+    """A fit that has but one stage."""
+    part = _of(observations, rows)
+    model = kind.fit(part, seed=seed)
+    if rows.size:
+        _check(model, part)
+    return StagedFit(model, rows)
 
 
 def _beside(pairs: Correspondences, wrong: tuple[WrongFix, ...]) -> BoolArray:
@@ -170,7 +180,6 @@ class _First:
     Attributes:
         model: Of the usual noise.
         rows: (K,) correspondences that it learned from in the end.
-        spoilt: (L,) correspondences that wrong fixes spoil.
         wrong: These fixes.
         unit_m2: (K, 2, 2) covariances of its places, in which errors are measured.
         quality: Of its places.
@@ -178,7 +187,6 @@ class _First:
 
     model: CameraRegressor
     rows: IntArray
-    spoilt: IntArray
     wrong: tuple[WrongFix, ...]
     unit_m2: FloatArray
     quality: Quality
@@ -188,28 +196,20 @@ class _First:
         cls, kind: CameraModelType, observations: Observations, rows: IntArray, seed: int
     ) -> _First:
         """The first solution, from what wrong fixes do not spoil."""
-        spoilt = np.empty(0, dtype=np.int64)
         wrong: tuple[WrongFix, ...] = ()
-        for _ in range(_MOST_ROUNDS):
+        for left in reversed(range(_MOST_ROUNDS)):
             part = _of(observations, rows)
             model = kind.first(part, seed=seed)
             placed = _placed(model, part)
-            if rows.size < _FEWEST_TO_WEIGH:
+            if not left or rows.size < _FEWEST_TO_WEIGH:
                 break
-            bad, found = wrong_fixes(part.correspondences, placed)
+            spoilt, found = wrong_fixes(part.correspondences, placed)
             if not found:
                 break
-            wrong = (*wrong, *found)
-            spoilt, rows = np.concatenate([spoilt, rows[bad]]), rows[~bad]
-        part = _of(observations, rows)
-        unit_m2 = placed.covariance_m2 if len(placed.east_north_m) == rows.size else None
-        if unit_m2 is None:
-            model = kind.first(part, seed=seed)
-            placed = _placed(model, part)
-            unit_m2 = placed.covariance_m2
-        unit_m2 = np.where(np.isfinite(unit_m2), unit_m2, np.eye(2))
+            wrong, rows = (*wrong, *found), rows[~spoilt]
+        unit_m2 = np.where(np.isfinite(placed.covariance_m2), placed.covariance_m2, np.eye(2))
         quality = Quality.of(placed, part.correspondences.east_north_m, unit_m2)
-        return cls(model, rows, spoilt, wrong, unit_m2, quality)
+        return cls(model, rows, wrong, unit_m2, quality)
 
     def quality_of(self, model: BoxModel, observations: Observations) -> Quality:
         """The quality of another model on the same boxes."""
