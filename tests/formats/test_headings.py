@@ -133,6 +133,16 @@ def test_a_start_without_a_fix(tmp_path: Path) -> None:
     assert tally.left_out["headings long before the first fix or after the last"].count > 8
 
 
+def test_a_wrong_time_without_a_fix_in_the_midst(tmp_path: Path) -> None:
+    wrong = sentence("GPRMC,000000.00,V,,,,,,,010100,,,N")
+    lines = []
+    for second in SECONDS:
+        lines += [rmc(second), *([wrong] * (second == 10)), hdt(bow_deg(second))]
+    found, _ = read(tmp_path / "log.nmea", lines)
+    assert len(found) == 30
+    np.testing.assert_allclose(errors_s(found), 0.0, atol=0.01)
+
+
 @pytest.mark.parametrize("mode", ["A", "E"])
 def test_ths(tmp_path: Path, mode: str) -> None:
     lines = [line for s in SECONDS for line in (rmc(s), ths(float(bow_deg(s)), mode))]

@@ -121,9 +121,9 @@ def test_times_without_a_fraction_and_before_nmea_2(tmp_path: Path) -> None:
 
 def test_undated_sentences_over_midnight_and_a_night_without_a_word(tmp_path: Path) -> None:
     """One date at the beginning, one after the break; each day in between is counted."""
-    evening, morning = 11 * 3600.0, 21 * 3600.0
-    seconds = [*range(int(evening), int(evening) + 5000, 500), *range(int(morning), 90000, 500)]
-    # 23:00 and on over midnight, then 09:00 until 13:00 of the day after.
+    evening, morning = 11 * 3600.0, 26 * 3600.0
+    seconds = [*range(int(evening), int(evening) + 5000, 500), *range(int(morning), 97000, 500)]
+    # 23:00 and on over midnight; then nothing for half a day and more, until 14:00.
     text = zda(evening) + "\n" + "".join(gll(second) + "\n" for second in seconds)
     text = text.replace(gll(morning), gll(morning) + "\n" + zda(morning))
     fixes, _ = read(tmp_path / "log.nmea", text)
