@@ -30,6 +30,7 @@ MISSING = (
     *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
+_MOST_COLUMNS = 2000
 # Times in steps of two seconds or more that three fixes share, or a single one that many do.
 _COARSEST_S, _MANY, _MOST_A_SECOND = 2.0, 3, 10
 # gzip, zip (also of spreadsheets), xz, bzip2, Zstandard.
@@ -187,6 +188,8 @@ def _form(path: str | os.PathLike[str], required: Sequence[str]) -> dict[str, An
     for other in (";", "\t"):
         if set(required) <= {name.strip(' "') for name in header.split(other)} and other in header:
             separator = other
+    if header.count(separator) >= _MOST_COLUMNS:
+        raise InputError(f"{path}: has more than {_MOST_COLUMNS:,} columns; is it a table?")
     text = "\n".join(rows)
     comma = separator == ";" and re.search(r"\d,\d", text) and not re.search(r"\d\.\d", text)
     return {
