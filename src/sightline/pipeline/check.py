@@ -129,7 +129,8 @@ class CheckReport:
         ]
         rest = len(self.warnings) + len(self.problems) + len(body)
         left = max(_MOST_LINES - rest - len(files), 4)
-        body += _shortened(recordings, left, "recordings") + _shortened(files, left, "files")
+        body += _shortened(recordings, left, "recordings")
+        body += _shortened(files, left, "files") if recordings else files
         for one in self.files:
             if one.tally.left_out:
                 body.append(f"left out of {one.path}: {one.tally.reasons()}")

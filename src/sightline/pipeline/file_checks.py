@@ -19,6 +19,7 @@ from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct
 from sightline.tally import Tally
 from sightline.types import Boxes, Fixes, FloatArray, utc_text
+from sightline.video.reader import frame_count
 
 T = TypeVar("T")
 Fact = int | float | str | list[float] | dict[str, int] | None
@@ -338,7 +339,7 @@ def check_video(
     check = started(path, "video")
     with check.refusing():
         if info is None:
-            info = counted(video.video_info, path, check.tally)
+            info = _info(path, clock, check.tally)
         seconds = info.presentation_s
         check.size_px = info.image_size_px
         width, height = info.image_size_px
@@ -359,6 +360,19 @@ def check_video(
     return check
 
 
+def _info(path: Path, clock: Clock | None, tally: Tally) -> video.VideoInfo:
+    """What a video says of itself; one without times needs a clock, and has no more to say."""
+    try:
+        return counted(video.video_info, path, tally)
+    except InputError:
+        if clock is None:
+            raise
+        count = frame_count(path)
+        if count is None:
+            raise
+        return video.VideoInfo(video.image_size_px(path), np.full(count, np.nan), None)
+
+
 def describe_times(
     check: FileCheck, time_utc_s: FloatArray | None, moments_s: FloatArray, told: str
 ) -> None:
@@ -370,7 +384,8 @@ def describe_times(
         moments_s: (N,) seconds from any beginning.
         told: What tells the times.
     """
-    steps = np.diff(moments_s)
+    known = time_utc_s if time_utc_s is not None else moments_s
+    steps = np.diff(known)
     steps = steps[np.isfinite(steps)]
     usual = float(np.median(steps)) if steps.size else float("nan")
     if usual > 0.0:
@@ -392,7 +407,9 @@ def describe_times(
             )
     elif steps.size:
         check.warn("its frames have no times of their own; give clock (a table frame,utc)")
-    if time_utc_s is None:
+    if time_utc_s is not None:
+        time_utc_s = time_utc_s[np.isfinite(time_utc_s)]
+    if time_utc_s is None or not time_utc_s.size:
         check.facts["times_from"] = None
         check.said += ", and nothing tells when"
         return
