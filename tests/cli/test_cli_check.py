@@ -57,7 +57,7 @@ def test_run_begins_with_the_check(sightline: Command, harbour: Path, tmp_path: 
         table.write_text("".join(table.read_text().splitlines(keepends=True)[:6]))
     done = sightline("run", scene, "-o", tmp_path / "out", "--model", "camera")
     assert done.status == 0
-    assert "only 10 of 15 boxes have a place in a log" in done.err
+    assert "only 15 of 15 boxes have a place in a log" in done.err
 
 
 def test_check_of_single_files(sightline: Command, harbour: Path) -> None:

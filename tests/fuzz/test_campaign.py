@@ -30,6 +30,8 @@ def raises(): [][1]
 def refuses(): raise InputError("line 3: no time")
 def hangs(): time.sleep(60)
 def hangs_in_c(): ctypes.CDLL(None).sleep(60)
+def hangs_at_work():
+    while True: pass
 def hogs(): kept = b"x" * 130_000_000
 def asks_for_more_than_there_is(): bytearray(2**40)
 def crashes(): ctypes.string_at(0)
@@ -82,6 +84,7 @@ def test_what_goes_wrong_is_noticed(tmp_path: Path) -> None:
         "raises": "IndexError",
         "hangs": "hang",
         "hangs_in_c": "hang",
+        "hangs_at_work": "hang",
         "hogs": "memory",
         "asks_for_more_than_there_is": "memory",
         "crashes": "killed by SIGSEGV",

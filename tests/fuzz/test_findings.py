@@ -169,6 +169,11 @@ TEXTS = {
         "scene.toml",
         b'[[recordings]]\nname = "a"\nboxes = "' + b"a" * 5000 + b'"\n',
     ),
+    "points of a track in a route": (
+        "log: GPX",
+        "a.gpx",
+        b'<gpx><rte><trkseg><trkpt lat="54" lon="10"/></trkseg></rte></gpx>',
+    ),
     "a long longitude": (
         "log: GPX",
         "a.gpx",

@@ -339,7 +339,7 @@ def test_pictures_of_two_sizes(harbour: Path) -> None:
     assert pictures.facts["frames"] == 3
     cv2.imwrite(str(harbour / "frames" / "001.png"), np.zeros((100, 100, 3), np.uint8))
     (problem,) = checked(harbour).problems
-    assert "picture 1 has 100 x 100 px, those before it 640 x 360 px" in problem
+    assert "001.png has 100 x 100 px, 000.png 640 x 360 px" in problem
     # The short check of a run opens the first picture alone.
     assert check_scene(Scene.load(harbour / "scene.toml"), every_picture=False).problems == []
 

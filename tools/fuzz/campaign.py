@@ -12,17 +12,18 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from fuzz import readers as known
-from fuzz.isolation import READ, Limits, Outcome, call_apart
+from fuzz.isolation import HANG, READ, Limits, Outcome, call_apart
 from fuzz.readers import Reader
 
 _BATCH = 25
+_PATIENCE = 6.0
 _LARGEST_BYTES = 8_000_000
 
 
@@ -129,11 +130,20 @@ def _stride(number: int, length: int) -> int:
 
 
 def try_input(one: Input, examples: Path, limits: Limits) -> Result:
-    """Give an input to its reader, in a process of its own."""
-    with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as folder:
-        path = Path(folder) / one.name
-        path.write_bytes(one.content)
-        outcome = call_apart(partial(one.reader.read, path, examples), limits)
+    """Give an input to its reader, in a process and a folder of its own.
+
+    One that takes too long is tried once more with patience, since other work may have had the
+    processor.
+    """
+    for patience in (1.0, _PATIENCE):
+        with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as folder:
+            path = Path(folder) / one.name
+            path.write_bytes(one.content)
+            outcome = call_apart(
+                partial(one.reader.read, path, examples), replace(limits, patience=patience)
+            )
+        if outcome.end != HANG:
+            break
     return Result(one.number, one.reader.name, one.name, one.spoilt_by, outcome)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import faulthandler
 import json
+import math
 import os
 import resource
 import signal
@@ -20,8 +21,11 @@ from sightline.errors import SightlineError
 
 READ, REFUSED = "read", "refused"
 
+HANG = "hang"
+
 _MOST_TEXT = 20_000
 _LONGEST_LINE = 3_000
+_OWN = Path(__file__)
 _STATUS = Path("/proc/self/status")
 # What starts a program or asks for the network, as Python's audit hooks name it.
 _FORBIDDEN = (
@@ -38,12 +42,15 @@ class Limits:
     """What a process may take.
 
     Attributes:
-        seconds: From its start to its end.
+        seconds: Of the processor's time, and from its start to its end.
         memory_mb: Resident, at its largest.
+        patience: So many times as long it may last from its start to its end, where other work
+            has the processor.
     """
 
     seconds: float = 10.0
     memory_mb: float = 1536.0
+    patience: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -72,24 +79,10 @@ class Outcome:
 def call_apart(call: Callable[[], object], limits: Limits) -> Outcome:
     """Call a function in a forked process.
 
-    A call that takes too long is tried once more, since other work may have had the processor.
-
     Args:
         call: What is called; it may raise `SightlineError`.
         limits: What it may take.
     """
-    outcome = _forked(call, limits)
-    if outcome.end == _HANG:
-        again = _forked(call, limits)
-        return again if again.end != _HANG else outcome
-    return outcome
-
-
-_HANG = "hang"
-_OWN = Path(__file__)
-
-
-def _forked(call: Callable[[], object], limits: Limits) -> Outcome:
     reading, writing = os.pipe()
     began = time.monotonic()
     child = os.fork()
@@ -115,8 +108,8 @@ def _told(said: bytes, status: int) -> tuple[str, str]:
     head, _, rest = text.rpartition("\x1e")
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
-        if number == signal.SIGALRM:
-            return _HANG, text
+        if number in (signal.SIGALRM, signal.SIGXCPU):
+            return HANG, text
         return f"killed by {signal.Signals(number).name}", text
     try:
         answer = json.loads(rest)
@@ -131,7 +124,7 @@ def _in_child(call: Callable[[], object], limits: Limits, writing: int) -> None:
     try:
         # By the kernel, which also ends what does not come back to Python.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.setitimer(signal.ITIMER_REAL, limits.seconds)
+        signal.setitimer(signal.ITIMER_REAL, limits.patience * limits.seconds)
         silent = os.open(os.devnull, os.O_RDWR)
         for standard in (0, 1, 2):
             os.dup2(silent, standard)
@@ -139,8 +132,9 @@ def _in_child(call: Callable[[], object], limits: Limits, writing: int) -> None:
         sys.stderr = open(2, "w", errors="backslashreplace", closefd=False)  # noqa: SIM115
         faulthandler.enable(writing)
         # What hangs says where before it is ended.
-        faulthandler.dump_traceback_later(0.9 * limits.seconds, file=writing)
+        faulthandler.dump_traceback_later(0.9 * limits.patience * limits.seconds, file=writing)
         _limit_memory(limits)
+        _limit_processor(limits)
         seen = _watch()
         end, detail = _ended(call)
         if seen:
@@ -150,6 +144,13 @@ def _in_child(call: Callable[[], object], limits: Limits, writing: int) -> None:
     answer = json.dumps({"end": end, "detail": detail[-_MOST_TEXT:]})
     os.write(writing, b"\x1e" + answer.encode("ascii", "replace"))
     os._exit(0)
+
+
+def _limit_processor(limits: Limits) -> None:
+    """What the process has used before the call does not count; the kernel counts whole seconds."""
+    used_s = sum(resource.getrusage(resource.RUSAGE_SELF)[:2])
+    most_s = math.ceil(used_s + limits.seconds)
+    resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s + 1))
 
 
 def _limit_memory(limits: Limits) -> None:

@@ -24,6 +24,7 @@ from sightline.types import BoolArray, Fixes, FloatArray, StrArray
 _logger = logging.getLogger(__name__)
 
 _SNIFFED_BYTES = 65536
+_MOST_COLUMNS = 1000
 _SENTENCE = re.compile(rb"[$!][A-Z]{5},[0-9A-Z.,*-]{6}")
 # What pandas takes for an empty cell of a column of numbers.
 MISSING = (
@@ -141,7 +142,13 @@ def table(
     Raises:
         InputError: The file cannot be read as a table, or its columns are others.
     """
-    beginning(path)
+    header_line = beginning(path).partition("\n")[0]
+    if max(map(header_line.count, ",;\t")) > _MOST_COLUMNS:
+        # Each column costs pandas time and memory, and no table of ours has as many.
+        raise InputError(
+            f"{path}: its first line has more than {_MOST_COLUMNS} cells; expected "
+            f"{_header(required)}"
+        )
     try:
         form = _form(path, required)
         header = pd.read_csv(existing(path), nrows=0, **form).columns

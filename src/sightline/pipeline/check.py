@@ -24,7 +24,6 @@ from sightline.pipeline.file_checks import (
     check_log,
     check_pictures,
     check_video,
-    counted,
     covered_share,
     distance_text,
     distances_text,
@@ -35,6 +34,7 @@ from sightline.pipeline.file_checks import (
 from sightline.pipeline.file_kinds import kind_of
 from sightline.scene import Recording, Scene, named_files
 from sightline.scene.correspondences import collect
+from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.types import FloatArray
 
@@ -52,8 +52,8 @@ class RecordingCheck:
         name: Of the recording.
         files: Its files, those that it shares with others among them.
         said: How they fit together.
-        overlap: Share of its times at which its log tells the place: between fixes near enough to
-            each other; NaN without a log or times.
+        overlap: Share of its times between fixes of its log that are near each other; NaN without
+            a log or times.
         placed: How many of its boxes have a place in the log; None where no boxes are drawn.
         range_m: Nearest and farthest of those places from the camera; None where it is not known.
     """
@@ -129,7 +129,8 @@ class CheckReport:
         ]
         rest = len(self.warnings) + len(self.problems) + len(body)
         left = max(_MOST_LINES - rest - len(files), 4)
-        body += _shortened(recordings, left, "recordings") + _shortened(files, left, "files")
+        body += _shortened(recordings, left, "recordings")
+        body += _shortened(files, left, "files") if recordings else files
         for one in self.files:
             if one.tally.left_out:
                 body.append(f"left out of {one.path}: {one.tally.reasons()}")
@@ -312,7 +313,7 @@ def _check_tables(
     if recording.water_levels_path is not None:
         levels = started(recording.water_levels_path, "water levels")
         with levels.refusing():
-            found = counted(formats.read_water_levels, levels.path, levels.tally)
+            found = formats.read_water_levels(levels.path, tally=levels.tally)
             levels.said = (
                 f"{found.level_m.size} levels of {found.level_m.min():.2f} to "
                 f"{found.level_m.max():.2f} m, {span_text(found.time_utc_s)}"
@@ -383,8 +384,8 @@ def _check_overlaps(scene: Scene, report: CheckReport) -> None:
         if one.overlap < _LEAST_OVERLAP:
             share = f"only {100.0 * one.overlap:.0f} %" if one.overlap > 0.0 else "none"
             report.warnings.append(
-                f"recording {recording.name}: its log tells the place for {share} of it; the rest "
-                "is before it, after it or in its gaps"
+                f"recording {recording.name}: its log has fixes at most {LARGEST_GAP_S:g} s apart "
+                f"for {share} of it; elsewhere places are less certain, or there are none"
             )
     if apart and not together and not len(scene.control_points):
         report.problems += apart
@@ -471,7 +472,7 @@ def _recording_text(one: RecordingCheck) -> str:
     ]
     log = one.of("log", "AIS feed")
     if log is not None and np.isfinite(one.overlap):
-        parts.append(f"{log.path.name} tells the place for {100.0 * one.overlap:.0f} % of it")
+        parts.append(f"{log.path.name} has near fixes for {100.0 * one.overlap:.0f} % of it")
     if one.placed is not None:
         away = ""
         if one.range_m is not None:
@@ -554,13 +555,13 @@ def _check_detector(one: FileCheck) -> None:
 
 
 def _check_points(one: FileCheck) -> None:
-    points = counted(formats.read_control_points, one.path, one.tally)
+    points = formats.read_control_points(one.path, tally=one.tally)
     one.facts["points"] = len(points)
     one.said = f"{len(points)} control points"
 
 
 def _check_levels(one: FileCheck) -> None:
-    levels = counted(formats.read_water_levels, one.path, one.tally)
+    levels = formats.read_water_levels(one.path, tally=one.tally)
     one.time_utc_s = levels.time_utc_s
     one.said = f"{levels.level_m.size} levels, {span_text(levels.time_utc_s)}"
 

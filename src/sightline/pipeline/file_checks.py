@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import inspect
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -19,8 +17,8 @@ from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct
 from sightline.tally import Tally
 from sightline.types import Boxes, Fixes, FloatArray, utc_text
+from sightline.video.reader import frame_count
 
-T = TypeVar("T")
 Fact = int | float | str | list[float] | dict[str, int] | None
 
 FARTHEST_M = 100_000.0
@@ -99,13 +97,6 @@ def started(path: str | os.PathLike[str], kind: str) -> FileCheck:
     return FileCheck(Path(path), kind, tally=Tally(path))
 
 
-def counted(reader: Callable[..., T], path: Path, tally: Tally, **options: object) -> T:
-    """What a reader reads, which counts in a tally where it can."""
-    if "tally" in inspect.signature(reader).parameters:
-        options["tally"] = tally
-    return reader(path, **options)
-
-
 def span_text(time_utc_s: FloatArray) -> str:
     """First and last of some times, as people read them; the day is said once."""
     first, last = utc_text(float(time_utc_s.min())), utc_text(float(time_utc_s.max()))
@@ -145,7 +136,7 @@ def check_log(path: Path, mmsi: int | None, plane: LocalPlane | None) -> FileChe
     check = started(path, "log")
     with check.refusing():
         if mmsi is None and formats.holds_ais(path):
-            feed = counted(formats.read_ais_feed, path, check.tally)
+            feed = formats.read_ais_feed(path, tally=check.tally)
             check.kind = "AIS feed"
             check.facts["vessels"] = len(feed)
             logs = {number: vessel.fixes for number, vessel in feed.items()}
@@ -154,7 +145,7 @@ def check_log(path: Path, mmsi: int | None, plane: LocalPlane | None) -> FileChe
                 return check
             fixes = next(iter(logs.values()))
         else:
-            fixes = counted(formats.read_fixes, path, check.tally, mmsi=mmsi)
+            fixes = formats.read_fixes(path, mmsi=mmsi, tally=check.tally)
         _describe_log(check, fixes, plane)
     return check
 
@@ -204,8 +195,8 @@ def _describe_log(check: FileCheck, fixes: Fixes, plane: LocalPlane | None) -> N
     check.said += f"; {np.median(speed):.1f} m/s, at most {speed.max():.1f}"
     if usual > LARGEST_GAP_S:
         check.warn(
-            f"a fix every {duration_text(usual)} is seldom: between fixes more than "
-            f"{LARGEST_GAP_S:g} s apart nobody knows where the vessel was; log every second"
+            f"a fix every {duration_text(usual)} is seldom: between fixes over {LARGEST_GAP_S:g} s "
+            "apart nothing but how it moves tells where the vessel was; log every second"
         )
     if speed.max() > _FASTEST_MPS:
         at = int(np.argmax(speed))
@@ -279,8 +270,8 @@ def check_boxes(path: Path, kind: str, size_px: tuple[int, int] | None) -> FileC
     check = started(path, kind)
     with check.refusing():
         source = path.stem if kind == "detections" else None
-        boxes = counted(
-            formats.read_boxes, path, check.tally, source=source, skip_empty=kind == "detections"
+        boxes = formats.read_boxes(
+            path, source=source, skip_empty=kind == "detections", tally=check.tally
         )
         describe_boxes(check, boxes, size_px)
     return check
@@ -338,7 +329,7 @@ def check_video(
     check = started(path, "video")
     with check.refusing():
         if info is None:
-            info = counted(video.video_info, path, check.tally)
+            info = _info(path, clock, check.tally)
         seconds = info.presentation_s
         check.size_px = info.image_size_px
         width, height = info.image_size_px
@@ -359,6 +350,19 @@ def check_video(
     return check
 
 
+def _info(path: Path, clock: Clock | None, tally: Tally) -> video.VideoInfo:
+    """What a video says of itself; one without times needs a clock, and has no more to say."""
+    try:
+        return video.video_info(path, tally=tally)
+    except InputError:
+        if clock is None:
+            raise
+        count = frame_count(path)
+        if count is None:
+            raise
+        return video.VideoInfo(video.image_size_px(path), np.full(count, np.nan), None)
+
+
 def describe_times(
     check: FileCheck, time_utc_s: FloatArray | None, moments_s: FloatArray, told: str
 ) -> None:
@@ -370,7 +374,8 @@ def describe_times(
         moments_s: (N,) seconds from any beginning.
         told: What tells the times.
     """
-    steps = np.diff(moments_s)
+    known = time_utc_s if time_utc_s is not None else moments_s
+    steps = np.diff(known)
     steps = steps[np.isfinite(steps)]
     usual = float(np.median(steps)) if steps.size else float("nan")
     if usual > 0.0:
@@ -392,7 +397,9 @@ def describe_times(
             )
     elif steps.size:
         check.warn("its frames have no times of their own; give clock (a table frame,utc)")
-    if time_utc_s is None:
+    if time_utc_s is not None:
+        time_utc_s = time_utc_s[np.isfinite(time_utc_s)]
+    if time_utc_s is None or not time_utc_s.size:
         check.facts["times_from"] = None
         check.said += ", and nothing tells when"
         return
@@ -416,14 +423,8 @@ def check_pictures(path: Path, clock: Clock | None, *, every: bool = True) -> Fi
     check = started(path, "pictures")
     with check.refusing():
         times = []
-        for frame in counted(video.frames, path, check.tally, clock=clock):
-            own = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
-            if check.size_px is not None and own != check.size_px:
-                raise InputError(
-                    f"{path}: picture {frame.index} has {own[0]} x {own[1]} px, those before it "
-                    f"{check.size_px[0]} x {check.size_px[1]} px"
-                )
-            check.size_px = own
+        for frame in video.frames(path, clock=clock, tally=check.tally):
+            check.size_px = (frame.image_bgr.shape[1], frame.image_bgr.shape[0])
             times.append(frame.time_utc_s)
             if not every:
                 break
@@ -445,7 +446,7 @@ def check_clock(path: Path) -> tuple[FileCheck, Clock | None]:
     check = started(path, "clock")
     clock = None
     with check.refusing():
-        clock = counted(formats.read_clock, path, check.tally)
+        clock = formats.read_clock(path, tally=check.tally)
         check.time_utc_s = clock.time_utc_s(clock.frame)
         sigma = float(np.median(clock.sigma_s(clock.frame)))
         first, last = int(clock.frame[0]), int(clock.frame[-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from pathlib import Path
@@ -15,7 +16,9 @@ _SUFFIXES = {
     ".otrfpts": "control points",
 }
 _HEAD_BYTES = 65536
-_SENTENCE = re.compile(rb"[$!][A-Z]{2}[A-Z]{3},")
+_LOOKED_AT = 4096
+_TABLE_SUFFIXES = (".csv", ".txt", ".log", ".tsv")
+_SENTENCE = re.compile(r"[$!][A-Z]{5},")
 _TRACK_SUFFIXES = (".geojson", ".parquet", ".gpkg", ".kml")
 
 # The columns that tell a table, those that tell more first.
@@ -48,14 +51,30 @@ def kind_of(path: Path) -> str:
         return _SUFFIXES[suffix]
     if suffix in _TRACK_SUFFIXES:
         return "tracks"
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if _SENTENCE.search(head) or text.startswith(b"<"):
-        return "log"
-    if b"\0" in head[:4096] and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    text = _text(head)
+    if text is None:
         return "video"
-    if suffix not in (".csv", ".txt", ".log", ".tsv"):
-        return "video" if not text.isascii() else "log"
-    return _kind_of_table(text.decode("utf-8", "replace"))
+    if _SENTENCE.search(text) or text.startswith("<"):
+        return "log"
+    if suffix not in _TABLE_SUFFIXES:
+        # Streams of pictures may begin without a zero, but not with letters alone.
+        return "log" if text.isascii() else "video"
+    return _kind_of_table(text)
+
+
+def _text(head: bytes) -> str | None:
+    """The beginning of a text, without blanks before it; None where it is none."""
+    encoding = "utf-8-sig"
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        encoding = "utf-16"
+    elif b"\0" in head[:_LOOKED_AT]:
+        if head[:_LOOKED_AT:2].count(0) == 0:
+            encoding = "utf-16-le"
+        elif head[1:_LOOKED_AT:2].count(0) == 0:
+            encoding = "utf-16-be"
+        elif not _SENTENCE.search(head.decode("latin-1")):
+            return None
+    return head.decode(encoding, "replace").lstrip()
 
 
 def _kind_of_table(text: str) -> str:
