@@ -4,6 +4,7 @@ import errno
 import os
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -121,12 +122,15 @@ def test_a_pipe_gets_nothing_of_what_fails(tmp_path: Path) -> None:
 def test_a_folder_that_may_not_be_written_to(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The system names the temporary file, whose name nobody was told."""
+    """The system names the hidden folder, whose name nobody was told."""
+    mkdir = Path.mkdir
 
-    def refuse(prefix: str, suffix: str, dir: Path) -> None:  # noqa: A002
-        raise PermissionError(errno.EACCES, "Permission denied", f"{dir}/{prefix}x{suffix}")
+    def refuse(path: Path, *arguments: Any, **named: Any) -> None:
+        if path.name.startswith("."):
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        mkdir(path, *arguments, **named)
 
-    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    monkeypatch.setattr(Path, "mkdir", refuse)
     with (
         pytest.raises(InputError, match=r"new/a\.csv: cannot be written: Permission denied"),
         atomic_path(tmp_path / "new" / "a.csv"),
