@@ -6,12 +6,13 @@ import errno
 import logging
 import sys
 import traceback
+from contextlib import suppress
 from typing import Any
 
 import typer
 from rich.markup import escape
 
-from sightline import __version__
+from sightline import __version__, signals
 from sightline.cli import common
 from sightline.cli.compare import compare
 from sightline.cli.demo import demo
@@ -21,13 +22,14 @@ from sightline.cli.evaluate import evaluate
 from sightline.cli.fit import fit
 from sightline.cli.run import run
 from sightline.cli.simulate import simulate
-from sightline.cli.track import track
-from sightline.errors import SightlineError
+from sightline.cli.track import TrackCommand, track
+from sightline.errors import SightlineError, StoppedError
 
 # What is wrong with a command line: typer brings it along under a private name.
 _CommandError: Any = typer.BadParameter.__mro__[2]
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# Of standard output as well, which may be full, closed, or a terminal that is gone.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF, errno.EIO)
 _NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ELOOP)
 
 app = typer.Typer(
@@ -39,7 +41,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (demo, run, fit, compare, track, evaluate, detect, simulate):
-    app.command()(command)
+    app.command(cls=TrackCommand if command is track else None)(command)
 app.add_typer(detector)
 
 
@@ -61,8 +63,14 @@ def _options(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 on success, 2 on bad input, 1 on a bug."""
-    sys.exit(_run(arguments))
+    """Run the command line and exit.
+
+    With 0 on success, 2 on bad input, 1 on a bug, 130 where Ctrl-C broke it off (128 and the number
+    of the signal for others).
+    """
+    with signals.installed():
+        status = _run(arguments)
+    sys.exit(status)
 
 
 class _Warnings(logging.Handler):
@@ -85,31 +93,54 @@ def _run(arguments: list[str] | None) -> int:
     logging.getLogger("sightline").addHandler(warnings)
     try:
         status = app(args=arguments, standalone_mode=False, obj=settings)
-    except SightlineError as error:
-        if settings.debug:
-            traceback.print_exc()
-        return _refuse(str(error))
-    except _CommandError as error:
-        # There is no message where the help was printed, since no command was given.
-        return _refuse(error.format_message())
-    except (typer.Abort, KeyboardInterrupt):
-        common.stderr.print("stopped")
-        return 130
-    except BrokenPipeError:
-        # Whoever read the output has read enough.
-        sys.stdout = None
-        return 0
-    except OSError as error:
-        if error.errno in _NO_ROOM:
-            return _refuse(f"the output cannot be written: {error.strerror}")
-        if error.errno in _NOT_ALLOWED and error.filename is not None:
-            return _refuse(f"{error.filename}: cannot be used: {error.strerror}")
-        raise
-    except MemoryError as error:
-        return _refuse(f"there is not enough memory for this: {error}")
+        _flush()
+    except BaseException as error:
+        # What is broken off may raise anything: a library that was being loaded is not installed.
+        if signals.broken_off() and not isinstance(error, SystemExit):
+            if settings.debug:
+                traceback.print_exc()
+            with suppress(OSError):
+                common.stderr.print("stopped")
+            return signals.status()
+        return _status_of(error, settings)
     finally:
         logging.getLogger("sightline").removeHandler(warnings)
     return status if isinstance(status, int) else 0
+
+
+def _status_of(error: BaseException, settings: common.Settings) -> int:
+    """Exit status for what a command raised, once it is told; a bug is raised anew."""
+    if isinstance(error, StoppedError | typer.Abort | KeyboardInterrupt):
+        common.stderr.print("stopped")
+        return signals.status()
+    if isinstance(error, SightlineError):
+        if settings.debug:
+            traceback.print_exception(error)
+        return _refuse(str(error))
+    if isinstance(error, _CommandError):
+        # There is no message where the help was printed, since no command was given.
+        return _refuse(error.format_message())
+    if isinstance(error, BrokenPipeError):
+        # Whoever read the output has read enough.
+        sys.stdout = None
+        return 0
+    if isinstance(error, OSError):
+        if error.errno in _NO_ROOM and error.filename is None:
+            # What is left in it cannot be written at the end either.
+            sys.stdout = None
+            return _refuse(f"the output cannot be written: {error.strerror}")
+        if error.errno in _NO_ROOM:
+            return _refuse(f"{error.filename}: cannot be written: {error.strerror}")
+        if error.errno in _NOT_ALLOWED and error.filename is not None:
+            return _refuse(f"{error.filename}: cannot be used: {error.strerror}")
+    if isinstance(error, MemoryError):
+        return _refuse(f"there is not enough memory for this: {error}")
+    raise error
+
+
+def _flush() -> None:
+    if sys.stdout is not None:
+        sys.stdout.flush()
 
 
 def _refuse(message: str) -> int:

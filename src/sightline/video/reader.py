@@ -17,7 +17,7 @@ from PIL import Image, ImageOps
 
 from sightline import video
 from sightline.clock import Clock
-from sightline.errors import InputError
+from sightline.errors import BrokenOffError, InputError
 from sightline.types import FloatArray, Frame
 
 _IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -282,8 +282,8 @@ def _damaged(name: str, error: Exception) -> InputError:
     )
 
 
-def _broken(name: str, index: int, reason: str | None) -> InputError:
-    return InputError(
+def _broken(name: str, index: int, reason: str | None) -> BrokenOffError:
+    return BrokenOffError(
         f"{name}: breaks off after {index} frames ({reason or 'it cannot be decoded'}); "
         "the file is damaged or cut short"
     )
