@@ -18,7 +18,9 @@ def main() -> None:
         from sightline.cli import main as run
 
         run()
-    except SystemExit:
+    except SystemExit as error:
+        if signals.broken_off():
+            _leave(int(error.code or 0))
         raise
     except BaseException:
         # Broken off while a library was loaded, which may have made something else of it.
@@ -26,10 +28,19 @@ def main() -> None:
             raise
         with suppress(OSError):
             sys.stderr.write("stopped\n")
-        sys.exit(signals.status())
+        _leave(signals.status())
     finally:
         # All is written. Whoever still asks to stop waits for no more than the end.
         signals.uninstall()
+
+
+def _leave(status: int) -> None:
+    """Exit without more ado: Python may take its own exit for that of an interrupt."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            if stream is not None:
+                stream.flush()
+    os._exit(status)
 
 
 def _open_standard_streams() -> None:

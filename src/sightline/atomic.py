@@ -255,6 +255,9 @@ def _taken(folder: Path, goal: str | os.PathLike[str]) -> int | None:
         except OSError as error:
             os.close(handle)
             if error.errno in _NO_LOCKS:
+                with suppress(OSError):
+                    lock.unlink()
+                    folder.rmdir()
                 return None
             raise
         except InputError:

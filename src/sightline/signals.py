@@ -1,30 +1,32 @@
 """Signals by which somebody asks a command to stop: Ctrl-C, `kill`, a terminal that is closed.
 
-Where a command can end with what it has (`stoppable`), the first of them only sets an event. Else,
-and from the second on, the command is broken off where it stands; nothing half is left, since files
-get their names when they are whole.
+Where a command can end with what it has (`stoppable`), and has something, the first of them only
+sets an event. Else, and from the second on, the command is broken off where it stands; nothing half
+is left, since files get their names when they are whole.
 
 Nothing here loads a library, so that it is in place before any other module is.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from sightline.stopping import Stop
+
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class _Asked:
-    """How often, by what, and what hears of it."""
+    """By what somebody asked, and what hears of it."""
 
     def __init__(self) -> None:
         self.number = 0
-        self.times = 0
-        self.event: threading.Event | None = None
+        self.event: Stop | None = None
         self.broken_off = False
 
 
@@ -33,7 +35,7 @@ _asked = _Asked()
 
 def install() -> None:
     """Handle the signals from now on, except those that whoever started the program ignores."""
-    _asked.number = _asked.times = 0
+    _asked.number = 0
     _asked.broken_off = False
     if threading.current_thread() is not threading.main_thread():
         return
@@ -68,13 +70,15 @@ def installed() -> Iterator[None]:
 
 
 @contextmanager
-def stoppable() -> Iterator[threading.Event]:
+def stoppable() -> Iterator[Stop]:
     """An event that the first signal sets while the block lasts, instead of breaking it off.
+
+    Before something was seen of the source, there is nothing to end, and it is broken off.
 
     Ctrl-C is heard even where a shell ignores it for what runs in the background: who sends it to
     this process means it.
     """
-    event = threading.Event()
+    event = Stop()
     main = threading.current_thread() is threading.main_thread()
     ignored = main and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     if ignored:
@@ -100,9 +104,12 @@ def status() -> int:
 
 def _hear(number: int, _frame: FrameType | None) -> None:
     _asked.number = number
-    _asked.times += 1
-    if _asked.event is not None and _asked.times == 1:
-        _asked.event.set()
+    event = _asked.event
+    if event is not None and event.begun and not event.is_set():
+        event.set()
         return
+    if _asked.broken_off:
+        # Not even what was begun to be removed is waited for.
+        os._exit(128 + number)
     _asked.broken_off = True
     raise KeyboardInterrupt

@@ -21,6 +21,18 @@ _LOOKS_APART_S = 0.05
 _AHEAD = 2
 
 
+class Stop(threading.Event):
+    """An event that knows whether there is something to keep: whoever sets it may break off else.
+
+    Attributes:
+        begun: Whether something was seen of the source that the event ends.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun = False
+
+
 def check(stop: threading.Event | None) -> None:
     """Raise where work was asked to stop.
 

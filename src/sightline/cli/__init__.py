@@ -32,6 +32,9 @@ _CommandError: Any = typer.BadParameter.__mro__[2]
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF, errno.EIO)
 _NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ELOOP)
 
+# What typer makes of an interrupt.
+_INTERRUPTED = 130
+
 app = typer.Typer(
     name="sightline",
     help="Smooth, georeferenced tracks from the video of one camera that nobody calibrated.",
@@ -93,26 +96,31 @@ def _run(arguments: list[str] | None) -> int:
     logging.getLogger("sightline").addHandler(warnings)
     try:
         status = app(args=arguments, standalone_mode=False, obj=settings)
+        if status == _INTERRUPTED or signals.broken_off():
+            return _stopped()
         _flush()
     except BaseException as error:
         # What is broken off may raise anything: a library that was being loaded is not installed.
-        if signals.broken_off() and not isinstance(error, SystemExit):
+        if signals.broken_off():
             if settings.debug:
                 traceback.print_exc()
-            with suppress(OSError):
-                common.stderr.print("stopped")
-            return signals.status()
+            return _stopped()
         return _status_of(error, settings)
     finally:
         logging.getLogger("sightline").removeHandler(warnings)
     return status if isinstance(status, int) else 0
 
 
+def _stopped() -> int:
+    with suppress(OSError):
+        common.stderr.print("stopped")
+    return signals.status()
+
+
 def _status_of(error: BaseException, settings: common.Settings) -> int:
     """Exit status for what a command raised, once it is told; a bug is raised anew."""
     if isinstance(error, StoppedError | typer.Abort | KeyboardInterrupt):
-        common.stderr.print("stopped")
-        return signals.status()
+        return _stopped()
     if isinstance(error, SightlineError):
         if settings.debug:
             traceback.print_exception(error)
@@ -120,8 +128,8 @@ def _status_of(error: BaseException, settings: common.Settings) -> int:
     if isinstance(error, _CommandError):
         # There is no message where the help was printed, since no command was given.
         return _refuse(error.format_message())
-    if isinstance(error, BrokenPipeError):
-        # Whoever read the output has read enough.
+    if isinstance(error, BrokenPipeError) or _is_of_broken_pipe(error):
+        # Whoever read the output has read enough; where typer saw that, it exits with 1.
         sys.stdout = None
         return 0
     if isinstance(error, OSError):
@@ -136,6 +144,10 @@ def _status_of(error: BaseException, settings: common.Settings) -> int:
     if isinstance(error, MemoryError):
         return _refuse(f"there is not enough memory for this: {error}")
     raise error
+
+
+def _is_of_broken_pipe(error: BaseException) -> bool:
+    return isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError)
 
 
 def _flush() -> None:

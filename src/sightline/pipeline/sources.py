@@ -81,6 +81,8 @@ class Ending:
             if self._stop is not None and self._stop.is_set():
                 break
             self._seen = True
+            if isinstance(self._stop, stopping.Stop):
+                self._stop.begun = True
             yield item
         if not self._seen:
             stopping.check(self._stop)
