@@ -191,7 +191,13 @@ def _made_folders(folder: Path) -> Iterator[None]:
     """Make a folder and those above it; if the block raises, those made that are empty go again."""
     new = [one for one in (folder, *folder.parents) if not os.path.exists(one)]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            # It is a file.
+            raise NotADirectoryError(
+                errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder)
+            ) from error
         yield
     except BaseException:
         for one in new:

@@ -153,7 +153,7 @@ def test_a_stream_leaves_what_was_tracked(
     assert err.startswith(said.format(s=stream)), err
     assert (process.returncode, err.count("\n")) == (status, 1)
     (boat,) = read_tracks(out)
-    # A detector of what moves needs some of the first of twelve seconds, a decoder some of the last.
+    # A detector of what moves needs some of the first of twelve seconds, a decoder of the last.
     assert boat.time_utc_s[0] < START_UTC_S + 4.0
     assert boat.time_utc_s[-1] > START_UTC_S + 8.0
 
