@@ -53,7 +53,7 @@ def run(
     from sightline.scene import Scene
 
     loaded = Scene.load(scene)
-    inputs = [*loaded.files, detector]
+    inputs: list[Path | str] = [*loaded.files, detector]
     places = [output / name for name in run_file_names(loaded)]
     keep_apart([json], [*inputs, *places])
     if output.is_dir():
