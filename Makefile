@@ -1,6 +1,8 @@
 PYTHON ?= python3
 TEST_WORKERS ?= 2
 FAULTS ?= 20
+FUZZ ?= 10000
+FUZZ_SEED ?= 0
 
 # Another Python has an environment of its own, such as .venv-python3.12, so that what was asked for
 # is what runs.
@@ -19,7 +21,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast test-train check mutate licences format bench docs gallery constraints clean
+.PHONY: help demo test test-fast test-train check mutate fuzz licences format bench docs gallery constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -43,6 +45,9 @@ test-train: $(TRAIN)  ## install what trains detectors, train each for some step
 mutate: $(DEV)  ## plant small faults in the maths, say which no test notices (FAULTS=20 a package)
 	$(BIN)/python tools/mutate.py --count $(FAULTS) --workers $(TEST_WORKERS) \
 		camera georeferencing trajectory tracking evaluation
+
+fuzz: $(DEV)  ## give every reader spoilt examples, say what neither reads nor refuses (FUZZ=10000)
+	PYTHONPATH=tools $(BIN)/python -m fuzz --count $(FUZZ) --seed $(FUZZ_SEED) --workers $(TEST_WORKERS)
 
 check: $(DEV)  ## what does not need running: style, format, types, direction of imports
 	$(BIN)/ruff check
@@ -78,7 +83,7 @@ constraints: $(BASE)  ## renew constraints.txt with the newest versions that fit
 	@echo "Now: make check test, then commit constraints.txt"
 
 clean:  ## remove all that was made, the environments too
-	rm -rf .venv .venv-* build dist site sightline-demo example-results benchmarks/results
+	rm -rf .venv .venv-* build dist site sightline-demo example-results benchmarks/results fuzz-findings
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find src tests tools examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 

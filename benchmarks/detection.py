@@ -46,7 +46,7 @@ from sightline.errors import InputError
 from sightline.evaluation.detection import pooled, score_detections
 from sightline.scene import Scene
 from sightline.scene.labelled_frames import detect_labelled, scene_labels
-from sightline.simulation import Harbour, Renderer
+from sightline.simulation import Harbour, HarbourSettings, Renderer
 from sightline.types import Frame
 from sightline.video import write_video
 
@@ -60,7 +60,7 @@ LEAST_CONFIDENCE = 0.01
 
 def pictures(seconds: float) -> Iterator[Frame]:
     """A harbour of which two seconds are painted and shown again and again."""
-    harbour = Harbour.random(3, duration_s=10.0)
+    harbour = Harbour.random(3, HarbourSettings(duration_s=10.0))
     renderer = Renderer(harbour)
     painted = [renderer.image(harbour.start_utc_s + i / RATE_HZ) for i in range(int(2 * RATE_HZ))]
     for index in range(int(seconds * RATE_HZ)):

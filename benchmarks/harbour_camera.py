@@ -22,7 +22,7 @@ from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 from sightline.simulation.harbour import Harbour
 from sightline.types import FloatArray
 
@@ -69,7 +69,10 @@ def main(seeds: int, recordings: int, duration_s: float) -> None:
     for seed in range(seeds):
         with tempfile.TemporaryDirectory() as folder:
             made = simulate(
-                Path(folder), seed=seed, recordings=recordings, duration_s=duration_s, video=False
+                Path(folder),
+                SimulationSettings(
+                    seed=seed, recordings=recordings, duration_s=duration_s, video=False
+                ),
             )
             scene = Scene.load(made.scene)
             begin = time.perf_counter()

@@ -17,7 +17,7 @@ from sightline.formats import write_boxes, write_fixes
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise
 from sightline.simulation.harbour import Pile
 from sightline.types import NO_TRACK, Boxes, FloatArray
 
@@ -56,7 +56,10 @@ def crowd(seed: int) -> Crowd:
     """A recording of eight vessels under way; another seed, another harbour and camera."""
     rng = np.random.default_rng([seed, 77])
     harbour = Harbour.random(
-        seed, duration_s=DURATION_S, motorboats=4, sailboats=2, ferries=1, anchored=0, gulls=0
+        seed,
+        HarbourSettings(
+            duration_s=DURATION_S, motorboats=4, sailboats=2, ferries=1, anchored=0, gulls=0
+        ),
     )
     harbour = replace(harbour, piles=harbour.piles + _barges(rng, harbour))
     times = frame_times(rng, harbour.start_utc_s)
@@ -187,10 +190,12 @@ def learned(crowd: Crowd, seed: int) -> Georeferencer:
     """A model that learned the camera from one boat's log on another day."""
     harbour = Harbour.random(
         seed + 5000,
-        duration_s=240.0,
-        camera=crowd.harbour.camera,
-        start_utc_s=crowd.harbour.start_utc_s - 86400.0,
-        gulls=0,
+        HarbourSettings(
+            duration_s=240.0,
+            camera=crowd.harbour.camera,
+            start_utc_s=crowd.harbour.start_utc_s - 86400.0,
+            gulls=0,
+        ),
     )
     noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, source="detector")
     with tempfile.TemporaryDirectory() as folder:

@@ -39,7 +39,7 @@ from sightline.scene import Scene
 from sightline.scene.correspondences import scene_correspondences
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import BoxNoise, Harbour
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 
 try:
     import cameratransform as ct
@@ -88,10 +88,13 @@ def foot(boxes: FloatArray) -> FloatArray:
 def world() -> tuple[Scene, Correspondences, Harbour, float]:
     """The scene, boxes of its first recordings with their places by the log, and the harbour."""
     with tempfile.TemporaryDirectory() as folder:
-        made = simulate(folder, recordings=RECORDINGS, duration_s=90.0, camera=CAMERA, video=False)
+        made = simulate(
+            folder,
+            SimulationSettings(recordings=RECORDINGS, duration_s=90.0, camera=CAMERA, video=False),
+        )
         scene = Scene.load(made.scene)
         assert scene.plane is not None
-        pairs = scene_correspondences(scene, scene.plane)
+        pairs = scene_correspondences(scene, scene.plane).certain()
     pairs = pairs[np.isin(pairs.recording, [one.name for one in made.recordings[:LEARNED_FROM]])]
     assert len(pairs) >= BOXES
     chosen = np.linspace(0, len(pairs) - 1, BOXES).astype(int)

@@ -43,7 +43,7 @@ from sightline.pipeline.fit import fit
 from sightline.pipeline.sources import moments
 from sightline.pipeline.track import positions_on_earth
 from sightline.scene import Recording, Scene
-from sightline.simulation import Simulation, simulate
+from sightline.simulation import Simulation, SimulationSettings, simulate
 from sightline.simulation.harbour import ReceiverNoise
 from sightline.tracking import ImageTracker, Tracker, WorldTracker
 from sightline.trajectory.forecast import HORIZONS_S, MotionModel, MotionState, follow
@@ -207,11 +207,13 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             simulation = simulate(
                 folder,
-                seed=seed,
-                video=False,
-                moving=True,
-                duration_s=DURATION_S,
-                rate_hz=chosen.rate_hz,
+                SimulationSettings(
+                    seed=seed,
+                    video=False,
+                    moving=True,
+                    duration_s=DURATION_S,
+                    rate_hz=chosen.rate_hz,
+                ),
             )
             harbour(simulation, seed, chosen.model, found)
     table(found)

@@ -20,7 +20,7 @@ from sightline.formats import write_boxes, write_fixes
 from sightline.pipeline.evaluate import place_boxes
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise, SimulatedCamera
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise, SimulatedCamera
 from sightline.types import FloatArray
 
 RECORDINGS = 4
@@ -49,7 +49,8 @@ def write_scene(folder: Path, seed: int, rise_m: float) -> Scene:
         start_utc_s = 1_717_236_000.0 + 7200.0 * i
         number = RECORDINGS * seed + i
         harbour = Harbour.random(
-            number, duration_s=DURATION_S, camera=low, start_utc_s=start_utc_s, gulls=0
+            number,
+            HarbourSettings(duration_s=DURATION_S, camera=low, start_utc_s=start_utc_s, gulls=0),
         )
         noise = BoxNoise(std_px=1.0, source="me")
         write_boxes(

@@ -26,7 +26,7 @@ from rich.table import Table
 import sightline
 from sightline import formats
 from sightline.pipeline.track import TrackSettings
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 from sightline.types import Frame
 from sightline.video import write_video
 
@@ -120,7 +120,8 @@ def main() -> None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         made = simulate(
-            folder / "harbour", video=False, duration_s=20.0, seed=1, image_size_px=SIZE_PX
+            folder / "harbour",
+            SimulationSettings(video=False, duration_s=20.0, seed=1, image_size_px=SIZE_PX),
         )
         model = folder / "camera.safetensors"
         sightline.fit(sightline.Scene.load(made.scene), "camera").save(model)

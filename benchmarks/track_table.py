@@ -32,7 +32,7 @@ from sightline.camera.state import CameraHistory
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.track import TrackSettings, iter_tracks, positions_on_earth, smooth_boxes
 from sightline.scene import Scene
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise
 from sightline.tracking import WorldTracker
 from sightline.trajectory import method
 from sightline.types import NO_TRACK, Boxes, FloatArray, Track
@@ -56,7 +56,10 @@ def make_world(folder: Path, boxes: int, model: str) -> World:
     """Eight vessels under way as a detector sees them, and a model fitted on another day."""
     duration_s = boxes / RATE_HZ / 4.0
     harbour = Harbour.random(
-        3, duration_s=duration_s, motorboats=4, sailboats=2, ferries=1, anchored=0, gulls=0
+        3,
+        HarbourSettings(
+            duration_s=duration_s, motorboats=4, sailboats=2, ferries=1, anchored=0, gulls=0
+        ),
     )
     noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="detector")
     seen = harbour.boxes(harbour.times(RATE_HZ), noise=noise, of="all", seed=1)[:boxes]
@@ -75,10 +78,12 @@ def _scene(folder: Path, harbour: Harbour) -> Scene:
     """The same camera a day before, with the boxes and the log of one boat."""
     before = Harbour.random(
         5003,
-        duration_s=240.0,
-        camera=harbour.camera,
-        start_utc_s=harbour.start_utc_s - 86400.0,
-        gulls=0,
+        HarbourSettings(
+            duration_s=240.0,
+            camera=harbour.camera,
+            start_utc_s=harbour.start_utc_s - 86400.0,
+            gulls=0,
+        ),
     )
     noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, source="detector")
     formats.write_boxes(before.boxes(before.times(0.5), noise=noise), folder / "learned.csv")

@@ -20,7 +20,7 @@ import sightline
 from sightline import Georeferencer, Scene
 from sightline.pipeline.camera_state import CameraMotionMonitor, recording_history
 from sightline.pipeline.evaluate import place_boxes
-from sightline.simulation import Knock, simulate
+from sightline.simulation import Knock, SimulationSettings, simulate
 from sightline.simulation.harbour import START_UTC_S
 
 DURATION_S, PAUSE_S = 50.0, 15.0
@@ -32,14 +32,16 @@ AFTER_S = 2.0
 def world(folder: Path, seed: int, knock: Knock | None) -> Scene:
     made = simulate(
         folder,
-        seed=seed,
-        recordings=2,
-        duration_s=DURATION_S,
-        pause_s=PAUSE_S,
-        rate_hz=2.0,
-        image_size_px=(640, 360),
-        clock="exact",
-        knock=knock,
+        SimulationSettings(
+            seed=seed,
+            recordings=2,
+            duration_s=DURATION_S,
+            pause_s=PAUSE_S,
+            rate_hz=2.0,
+            image_size_px=(640, 360),
+            clock="exact",
+            knock=knock,
+        ),
     )
     return Scene.load(made.scene)
 

@@ -4,11 +4,13 @@ import sys
 from pathlib import Path
 
 import sightline
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 
 
 def main(folder: Path) -> None:
-    simulated = simulate(folder / "harbour", seed=1, duration_s=30.0, video=False, clock="exact")
+    simulated = simulate(
+        folder / "harbour", SimulationSettings(seed=1, duration_s=30.0, video=False, clock="exact")
+    )
     scene = sightline.Scene.load(simulated.scene)
 
     # What a model is scored on, it must not have learned from.

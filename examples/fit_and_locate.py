@@ -4,13 +4,13 @@ import sys
 from pathlib import Path
 
 import sightline
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 from sightline.types import ellipses
 
 
 def main(folder: Path) -> None:
     # A harbour with a known truth; with a recording of your own, write a scene file instead.
-    simulated = simulate(folder / "harbour", seed=1, video=False, clock="exact")
+    simulated = simulate(folder / "harbour", SimulationSettings(seed=1, video=False, clock="exact"))
     scene = sightline.Scene.load(simulated.scene)
 
     model = sightline.fit(scene, model="camera+gpr")

@@ -4,12 +4,13 @@ import sys
 from pathlib import Path
 
 import sightline
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 
 
 def main(folder: Path) -> None:
     simulated = simulate(
-        folder / "harbour", seed=1, recordings=2, duration_s=30.0, video=False, clock="exact"
+        folder / "harbour",
+        SimulationSettings(seed=1, recordings=2, duration_s=30.0, video=False, clock="exact"),
     )
     scene = sightline.Scene.load(simulated.scene)
     model = sightline.fit(scene)

@@ -12,7 +12,7 @@ from sightline.formats import write_boxes, write_fixes
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
 
 CAMERA = SimulatedCamera(
     height_m=7.0,
@@ -60,7 +60,8 @@ def small_scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     for i, annotator in enumerate(("first", "second")):
         start_utc_s = 1_717_236_000.0 + 3600.0 * i
         harbour = Harbour.random(
-            21 + i, duration_s=120.0, camera=CAMERA, start_utc_s=start_utc_s, gulls=0
+            21 + i,
+            HarbourSettings(duration_s=120.0, camera=CAMERA, start_utc_s=start_utc_s, gulls=0),
         )
         noise = BoxNoise(std_px=1.0, source=annotator)
         write_boxes(harbour.boxes(harbour.times(0.5), noise=noise), folder / f"boxes-{i}.csv")

@@ -9,7 +9,7 @@ import pytest
 
 import sightline
 from sightline.formats import write_boxes
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 
 SOURCE = Path(sightline.__file__).parent
 
@@ -37,7 +37,7 @@ EXAMPLES = [one for module in modules_with_examples() for one in docstrings(modu
 def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a small scene, a model fitted to it, and tracks."""
     folder = tmp_path_factory.mktemp("docstrings")
-    made = simulate(folder, seed=3, duration_s=30.0, video=False, clock="exact")
+    made = simulate(folder, SimulationSettings(seed=3, duration_s=30.0, video=False, clock="exact"))
     scene = sightline.Scene.load(made.scene)
     model = sightline.fit(scene)
     model.save(folder / "model.safetensors")

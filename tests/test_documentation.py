@@ -20,7 +20,7 @@ from sightline.cli import app
 from sightline.evaluation import evaluate_tracks
 from sightline.formats import track_table, write_boxes, write_fixes
 from sightline.geodesy import LocalPlane
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 from sightline.trajectory import METHODS
 from sightline.types import Fixes, Track
 
@@ -78,7 +78,10 @@ def track() -> Track:
 def surroundings(tmp_path_factory: pytest.TempPathFactory, track: Track) -> Path:
     """A folder with all files that the code in the documentation names."""
     folder = tmp_path_factory.mktemp("documentation")
-    made = simulate(folder, seed=3, recordings=2, duration_s=30.0, video=False, clock="exact")
+    made = simulate(
+        folder,
+        SimulationSettings(seed=3, recordings=2, duration_s=30.0, video=False, clock="exact"),
+    )
     scene = sightline.Scene.load(made.scene)
     for name in ("harbour.csv", "evening.csv"):
         write_boxes(scene["02"].boxes(), folder / name)

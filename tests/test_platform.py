@@ -322,5 +322,87 @@ def test_a_log_without_a_fix_tells_nothing() -> None:
     np.testing.assert_allclose(pose.en_m[0], [3.0, 4.0], atol=1e-6)
 
 
+def yawing_deg(time_s: np.ndarray) -> np.ndarray:
+    """A vessel that swings by some degrees about a course near north, in three ways at once."""
+    swings = ((1.2, 9.0, 0.3), (0.8, 14.0, 1.7), (1.5, 27.0, 4.0))
+    return 359.0 + sum(a * np.sin(2.0 * np.pi * time_s / p + f) for a, p, f in swings)
+
+
+def heading_errors_deg(
+    per_s: float, noise_deg: float, *, seed: int = 0, until_then: bool = False
+) -> np.ndarray:
+    """What headings are off by, of a compass with white noise."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 240.0, 1.0 / per_s)
+    seen = yawing_deg(times) + noise_deg * rng.standard_normal(times.size)
+    platform = Platform(
+        log(np.arange(0.0, 241.0), np.zeros((241, 2))), Headings(times, seen % 360.0)
+    )
+    asked = np.sort(rng.uniform(5.0, 235.0, 500))
+    pose = platform.pose(asked, PLANE, until_then=until_then)
+    off = np.degrees(pose.heading_rad) - yawing_deg(asked)
+    return np.asarray((off + 180.0) % 360.0 - 180.0)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize(
+    ("per_s", "noise_deg", "most_deg"),
+    [
+        # The mean of what is known within a second or two, in which the turn is even.
+        (10.0, 0.25, 0.09),
+        (5.0, 0.25, 0.11),
+        (10.0, 1.0, 0.27),
+        (5.0, 1.0, 0.35),
+        (1.0, 0.25, 0.2),
+        # Linear between two headings leaves 0.7 of the noise of one.
+        (1.0, 1.0, 0.7),
+    ],
+)
+def test_the_noise_of_a_compass_is_not_in_the_heading(
+    per_s: float, noise_deg: float, most_deg: float
+) -> None:
+    assert rms(heading_errors_deg(per_s, noise_deg)) < most_deg
+
+
+def test_until_then_a_heading_is_better_than_the_last_one_of_a_noisy_compass() -> None:
+    assert rms(heading_errors_deg(10.0, 0.25, until_then=True)) < 0.2
+    assert rms(heading_errors_deg(10.0, 1.0, until_then=True)) < 0.6
+
+
+@pytest.mark.parametrize("per_s", [1.0, 5.0, 10.0, 50.0])
+def test_headings_without_noise_stay_as_they_are(per_s: float) -> None:
+    assert rms(heading_errors_deg(per_s, 0.0)) < 0.01
+
+
+def test_until_then_no_later_heading_counts() -> None:
+    rng = np.random.default_rng(5)
+    times = np.arange(0.0, 60.0, 0.1)
+    seen = yawing_deg(times) + 0.3 * rng.standard_normal(times.size)
+    asked = np.arange(3.03, 29.0, 0.37)
+    where = log(np.arange(0.0, 61.0), np.zeros((61, 2)))
+    poses = []
+    for end in (np.zeros(300), np.full(300, 40.0)):
+        # What comes later turns away, or does not; the noise that is found is nearly the same.
+        bent = seen + np.append(np.zeros(300), end * np.linspace(0.0, 1e-3, 300))
+        poses.append(
+            Platform(where, Headings(times, bent % 360.0)).pose(asked, PLANE, until_then=True)
+        )
+    np.testing.assert_allclose(poses[0].heading_rad, poses[1].heading_rad, atol=1e-12)
+
+
+def test_a_turn_before_a_silence_does_not_go_on_after_it() -> None:
+    times = np.append(np.arange(0.0, 20.0, 0.2), np.arange(60.0, 80.0, 0.2))
+    seen = np.where(times < 40.0, 10.0 * times, 90.0) % 360.0
+    platform = Platform(log(np.arange(0.0, 81.0), np.zeros((81, 2))), Headings(times, seen))
+    pose = platform.pose([10.0, 19.7, 40.0, 60.1, 70.0], PLANE)
+    wanted = np.radians([100.0, 197.0, np.nan, 90.0, 90.0])
+    off = (pose.heading_rad - wanted + np.pi) % (2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(off[[0, 1, 3, 4]], 0.0, atol=np.radians(0.05))
+    assert np.isnan(pose.heading_rad[2])
+
+
 def compass() -> Headings:
     return Headings(np.array([0.0, 5.0]), np.array([10.0, 10.0]))

@@ -35,13 +35,34 @@ def test_reports_with_course_and_speed_bridge_long_gaps_along_the_curve():
     assert np.hypot(*(at.velocity_mps - moving).T).max() < 0.1
 
 
-def test_without_course_and_speed_only_short_gaps_count_and_lines_are_straight():
+def test_without_course_and_speed_lines_are_straight_in_short_gaps():
     fixes, _ = log_of(np.array([0.0, 4.0, 40.0, 44.0]))
-    at = ReferenceTrajectory.of(fixes, PLANE).at([2.0, 20.0, 42.0])
-    middle = circle([0.0, 4.0])[0].mean(axis=0)
-    np.testing.assert_allclose(at.east_north_m[0], middle, atol=1e-6)
-    assert np.isnan(at.east_north_m[1]).all()
-    assert np.isfinite(at.east_north_m[2]).all()
+    at = ReferenceTrajectory.of(fixes, PLANE).at([2.0, 42.0])
+    for found, ends in zip(at.east_north_m, ([0.0, 4.0], [40.0, 44.0]), strict=True):
+        np.testing.assert_allclose(found, circle(ends)[0].mean(axis=0), atol=1e-6)
+
+
+def test_without_course_and_speed_a_motion_model_bridges_long_gaps():
+    times = np.arange(0.0, 301.0, 20.0)
+    fixes, _ = log_of(times)
+    asked = np.arange(60.5, 240.0, 1.7)
+    truth, moving = circle(asked)
+    at = ReferenceTrajectory.of(fixes, PLANE).at(asked)
+    off = np.hypot(*(at.east_north_m - truth).T)
+    # A straight line is off by the sagitta of the arc, up to 6 m.
+    assert off.max() < 1.0
+    assert (off < 3.0 * at.sigma_m).all()
+    assert np.hypot(*(at.velocity_mps - moving).T).max() < 0.5
+    assert (at.fix_time_utc_s[:, 0] == 20.0 * (asked // 20.0)).all()
+    # The middle of a gap is less certain than its ends.
+    middle = np.abs(asked % 20.0 - 10.0)
+    assert at.sigma_m[middle < 1.0].min() > 2.0 * at.sigma_m[middle > 9.0].max()
+
+
+def test_beyond_the_longest_gap_a_log_without_course_tells_nothing():
+    fixes, _ = log_of(np.array([0.0, 10.0, 20.0, 150.0, 160.0]))
+    at = ReferenceTrajectory.of(fixes, PLANE).at([15.0, 80.0, 155.0])
+    assert np.isfinite(at.east_north_m[:, 0]).tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("count", [0, 1])

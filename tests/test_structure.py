@@ -19,8 +19,6 @@ _MOST_PARAMETERS = 8
 _MANY_PARAMETERS = {
     "pipeline/track.py: track": "what a source may come with, each by its name: the public verb",
     "pipeline/track.py: iter_tracks": "as `track`",
-    "simulation/harbour.py: Harbour.random": "what is in a harbour, each by its name: public",
-    "simulation/simulate.py: simulate": "what is in a recording, each by its name: public",
 }
 
 # Where nothing says what a value is, with the reason.

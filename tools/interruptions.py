@@ -62,10 +62,12 @@ def make_data(folder: Path) -> None:
     """A small harbour with one video, and a model of its camera."""
     from sightline import Scene, fit
     from sightline.simulation import simulate
+    from sightline.simulation.simulate import SimulationSettings
 
-    made = simulate(
-        folder, seed=3, recordings=2, duration_s=8.0, rate_hz=8.0, image_size_px=(640, 360)
+    settings = SimulationSettings(
+        seed=3, recordings=2, duration_s=8.0, rate_hz=8.0, image_size_px=(640, 360)
     )
+    made = simulate(folder, settings)
     fit(Scene.load(made.scene), "camera").save(folder / "camera.safetensors")
 
 

@@ -360,8 +360,11 @@ def _pytest(copy: Path, tests: tuple[str, ...], limit_s: float | None) -> tuple[
         "OMP_NUM_THREADS": "1",
         "OPENBLAS_NUM_THREADS": "1",
     }
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    with tempfile.TemporaryFile() as file:
+    # The same examples for each fault: one that chance finds would be taken for it being noticed.
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+    command += ["--hypothesis-seed=0", *tests]
+    with tempfile.TemporaryDirectory() as examples, tempfile.TemporaryFile() as file:
+        environment["HYPOTHESIS_STORAGE_DIRECTORY"] = examples
         # Tests start processes of their own; all of them end with the session.
         process = subprocess.Popen(
             command,

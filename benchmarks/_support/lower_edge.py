@@ -13,7 +13,7 @@ import numpy as np
 from sightline.detection import Detector, LowerEdge
 from sightline.errors import FitError
 from sightline.overlap import iou
-from sightline.simulation.harbour import Harbour
+from sightline.simulation.harbour import Harbour, HarbourSettings
 from sightline.simulation.render import Renderer
 from sightline.types import BoolArray, FloatArray, Frame, IntArray
 
@@ -67,12 +67,9 @@ def overhang(
     for number in range(harbours):
         harbour = Harbour.random(
             _FIRST_SEED + 1000 * seed + number,
-            duration_s=DURATION_S,
-            motorboats=6,
-            sailboats=0,
-            ferries=0,
-            gulls=3,
-            piles=False,
+            HarbourSettings(
+                duration_s=DURATION_S, motorboats=6, sailboats=0, ferries=0, gulls=3, piles=False
+            ),
         )
         renderer = Renderer(harbour)
         detector.reset()

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import sightline
 from sightline.pipeline.track import TrackSettings
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 from sightline.types import ellipses
 
 SEED = 8
@@ -28,7 +28,10 @@ def _hidden(after_s: np.ndarray) -> np.ndarray:
 def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as made:
         simulated = simulate(
-            made, seed=SEED, recordings=3, duration_s=90.0, video=False, clock="exact"
+            made,
+            SimulationSettings(
+                seed=SEED, recordings=3, duration_s=90.0, video=False, clock="exact"
+            ),
         )
         scene = sightline.Scene.load(simulated.scene)
         model = sightline.fit(scene.without(["03"]), model="camera")

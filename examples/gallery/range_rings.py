@@ -9,7 +9,7 @@ from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 
 import sightline
-from sightline.simulation import SimulatedCamera, simulate
+from sightline.simulation import SimulatedCamera, SimulationSettings, simulate
 from sightline.types import ellipses
 
 SEED = 5
@@ -29,7 +29,8 @@ CAMERA = SimulatedCamera(
 def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as made:
         simulated = simulate(
-            made, seed=SEED, recordings=3, video=False, clock="exact", camera=CAMERA
+            made,
+            SimulationSettings(seed=SEED, recordings=3, video=False, clock="exact", camera=CAMERA),
         )
         scene = sightline.Scene.load(simulated.scene)
         model = sightline.fit(scene, model="camera")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 import sightline
-from sightline.simulation import SimulatedCamera, simulate
+from sightline.simulation import SimulatedCamera, SimulationSettings, simulate
 from sightline.types import ellipses
 
 ALONG, ACROSS, INK = "#0072b2", "#e69f00", "#333333"
@@ -21,7 +21,9 @@ CAMERA = SimulatedCamera(
 def place(seed: int) -> tuple[sightline.Positions, np.ndarray]:
     """The boxes of a recording, located by a model of the two others, and their errors."""
     with tempfile.TemporaryDirectory() as made:
-        simulated = simulate(made, seed=seed, video=False, clock="exact", camera=CAMERA)
+        simulated = simulate(
+            made, SimulationSettings(seed=seed, video=False, clock="exact", camera=CAMERA)
+        )
         scene = sightline.Scene.load(simulated.scene)
         model = sightline.fit(scene.without(["03"]), model="camera")
         boxes = scene["03"].boxes()

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import sightline
-from sightline.simulation import simulate
+from sightline.simulation import SimulationSettings, simulate
 
 SEED = 2
 LOG, ESTIMATE, OTHERS, INK = "#d55e00", "#0072b2", "#9a9a9a", "#333333"
@@ -18,7 +18,10 @@ LOG, ESTIMATE, OTHERS, INK = "#d55e00", "#0072b2", "#9a9a9a", "#333333"
 def main(folder: Path, recordings: int = 3) -> None:
     with tempfile.TemporaryDirectory() as made:
         simulated = simulate(
-            made, seed=SEED, recordings=recordings, duration_s=90.0, video=False, clock="exact"
+            made,
+            SimulationSettings(
+                seed=SEED, recordings=recordings, duration_s=90.0, video=False, clock="exact"
+            ),
         )
         scene = sightline.Scene.load(simulated.scene)
         # Nobody has drawn anything: a detector's boxes of all vessels are left, and one log.

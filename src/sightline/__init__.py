@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sightline.georeferencing.georeferencer import Georeferencer
     from sightline.georeferencing.georeferencer import load_model as load
     from sightline.georeferencing.models import MODELS
+    from sightline.pipeline.check import check
     from sightline.pipeline.evaluate import compare, evaluate
     from sightline.pipeline.fit_unlabelled import fit_scene as fit
     from sightline.pipeline.run import run
@@ -34,6 +35,7 @@ _LATER = {
     "MODELS": "sightline.georeferencing.models",
     "Georeferencer": "sightline.georeferencing.georeferencer",
     "load": "sightline.georeferencing.georeferencer:load_model",
+    "check": "sightline.pipeline.check",
     "compare": "sightline.pipeline.evaluate",
     "evaluate": "sightline.pipeline.evaluate",
     "iter_tracks": "sightline.pipeline.track",
@@ -80,6 +82,7 @@ __all__ = [
     "Track",
     "Tracks",
     "__version__",
+    "check",
     "compare",
     "evaluate",
     "fit",

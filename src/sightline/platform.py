@@ -15,7 +15,8 @@ has a latitude.
 A receiver's error lasts for tens of seconds, and what it changes by from one fix to the next is no
 motion: two fixes a second apart tell a velocity to half a metre a second, which is thirty metres
 after a minute. So the platform's way is estimated from its log (`_Way`), and how unsure its place
-and its velocity are belongs to whatever is seen from it.
+and its velocity are belongs to whatever is seen from it. Its headings are rid of the noise of its
+compass (`_Turning`): a quarter of a degree is two metres at half a kilometre.
 """
 
 from __future__ import annotations
@@ -51,7 +52,14 @@ _FIX_SIGMA_M = 0.3
 _SPEED_SIGMA_MPS = 30.0
 # The spectral density of the platform's acceleration, m²/s³, is the likeliest of these.
 _ACCELERATIONS_M2PS3 = np.geomspace(1e-5, 1.0, 11)
+# The spectral density of its angular acceleration in the variance of a heading, 1/s³, as well.
+_TURNS_PS3 = np.geomspace(1e-4, 1e6, 21)
+# Variance of its rate of turn before anything tells it, in that of a heading, 1/s².
+_RATE_PS2 = 1e9
 _APART_S = 0.9
+_HEADINGS_APART_S = 0.2
+# Fewer do not tell what is noise.
+_ENOUGH_HEADINGS = 16
 _LEARNED_FROM = 3600
 _COURSE_SPAN_S = 8.0
 _LEAST_COURSE_SIGMAS = 4.0
@@ -106,9 +114,9 @@ class Platform:
         Args:
             time_utc_s: (N,) POSIX seconds.
             plane: Of the places.
-            until_then: Whether place and velocity, and a course that stands in for the heading, are
-                by the fixes until each time alone. How hard the platform accelerates is told by
-                its whole log all the same.
+            until_then: Whether place, velocity and heading are by what is logged until each time
+                alone. How hard the platform accelerates and turns is told by its whole log all the
+                same.
         """
         times = np.asarray(time_utc_s, dtype=np.float64)
         way = _way(self, plane)
@@ -119,7 +127,7 @@ class Platform:
             at = way.until if until_then else way.at
             state[told], covariance[told] = at(times[told])
         if self.headings is not None:
-            heading, sigma = self._logged(times)
+            heading, sigma = self._logged(times, until_then)
         elif until_then:
             heading, sigma = _course_of(state[:, 1], np.sqrt(covariance[:, 1, 1]))
         else:
@@ -132,15 +140,19 @@ class Platform:
             covariance=covariance,
         )
 
-    def _logged(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _logged(self, times: FloatArray, until_then: bool) -> tuple[FloatArray, FloatArray]:
         assert self.headings is not None, "the caller has looked"
         log_s = self.headings.time_utc_s
-        turned = _unwrapped(self.headings)
-        heading = np.interp(times, log_s, turned, left=np.nan, right=np.nan)
+        if len(log_s) < _ENOUGH_HEADINGS:
+            heading = np.interp(times, log_s, np.unwrap(np.radians(self.headings.heading_deg)))
+        else:
+            turning = _turning(self.headings)
+            heading = turning.until(times) if until_then else turning.at(times)
         after = np.clip(np.searchsorted(log_s, times), 1, len(log_s) - 1)
-        far = log_s[after] - log_s[after - 1] > LARGEST_GAP_S
+        told = (times >= log_s[0]) & (times <= log_s[-1])
+        told &= log_s[after] - log_s[after - 1] <= LARGEST_GAP_S
         return (
-            np.where(far, np.nan, heading),
+            np.where(told, heading, np.nan),
             np.full(times.shape, np.radians(HEADING_SIGMA_DEG)),
         )
 
@@ -268,11 +280,149 @@ class _Way:
         return step @ self.filtered[last, :2], spread
 
 
-# The way is asked for with each track and each moment, and takes a while for a long log.
+@dataclass(frozen=True, eq=False)
+class _Turning:
+    """Filtered and smoothed heading and rate of turn of a platform.
+
+    It turns at a constant rate under white angular acceleration, and its compass is off by white
+    noise: a Kalman filter of heading and rate, and the smoother of Rauch, Tung and Striebel. How
+    much noise there is beside the turning is told by the log, so that what is exact stays as it is.
+    What a compass is off by for longer is no noise, and stays in.
+
+    Attributes:
+        time_s: (N,) of the headings, those that follow each other closely as one, their mean.
+        last_s: (N,) of the last of each.
+        filtered: (N, 2) float64, radians and radians a second, by the headings until then.
+        smoothed: As ``filtered``, by all headings.
+    """
+
+    time_s: FloatArray
+    last_s: FloatArray
+    filtered: FloatArray
+    smoothed: FloatArray
+
+    @classmethod
+    def of(cls, headings: Headings) -> _Turning:
+        log_s = headings.time_utc_s
+        _, first, group, count = np.unique(
+            np.floor((log_s - log_s[0]) / _HEADINGS_APART_S),
+            return_index=True,
+            return_inverse=True,
+            return_counts=True,
+        )
+        angle = np.unwrap(np.radians(headings.heading_deg))
+        time_s = log_s[0] + np.bincount(group, log_s - log_s[0]) / count
+        angle = np.bincount(group, angle) / count
+        noise = 1.0 / count
+        # A long log is judged by the part in which the platform turned most.
+        part = _busiest(np.stack([angle, np.zeros_like(angle)], axis=1))
+        likely = _turned_like(time_s[part], angle[part], noise[part])
+        jerk = float(_TURNS_PS3[int(np.argmax(likely))])
+        filtered, smoothed = _smoothed_turns(time_s, angle, noise, jerk)
+        return cls(time_s, log_s[first + count - 1], filtered, smoothed)
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """(M,) smoothed headings, radians; the cubic through both neighbours with their rates."""
+        if self.time_s.size < 2:
+            return np.full(times.shape, self.smoothed[0, 0])
+        after = np.clip(np.searchsorted(self.time_s, times), 1, self.time_s.size - 1)
+        span = self.time_s[after] - self.time_s[after - 1]
+        (p, v), (q, w) = self.smoothed[after - 1].T, self.smoothed[after].T
+        # Beyond the first and the last mean it goes on as it went there.
+        since = times - self.time_s[after - 1]
+        share = np.clip(since / span, 0.0, 1.0)
+        rest = 1.0 - share
+        angle = rest**2 * ((1.0 + 2.0 * share) * p + share * span * v)
+        angle += share**2 * ((1.0 + 2.0 * rest) * q - rest * span * w)
+        return np.asarray(angle + np.minimum(since, 0.0) * v + np.maximum(since - span, 0.0) * w)
+
+    def until(self, times: FloatArray) -> FloatArray:
+        """(M,) filtered headings at given times; before the first heading, by that."""
+        last = np.maximum(np.searchsorted(self.last_s, times, side="right") - 1, 0)
+        angle, rate = self.filtered[last].T
+        return np.asarray(angle + rate * np.maximum(times - self.time_s[last], 0.0))
+
+
+def _turned_like(time_s: FloatArray, angle: FloatArray, noise: FloatArray) -> FloatArray:
+    """(K,) log-likelihoods of headings under `_TURNS_PS3`, whatever the noise of the compass is."""
+    k = _TURNS_PS3.size
+    mean, rate = np.zeros(k), np.zeros(k)
+    own, both, of_rate = np.zeros(k), np.zeros(k), np.zeros(k)
+    squares, spreads, n = np.zeros(k), np.zeros(k), 0
+    lags = np.diff(time_s, prepend=-np.inf).tolist()
+    for lag, seen, off in zip(lags, angle.tolist(), noise.tolist(), strict=True):
+        if lag > LARGEST_GAP_S:
+            mean, rate = np.full(k, seen), np.zeros(k)
+            own, both, of_rate = np.full(k, off), np.zeros(k), np.full(k, _RATE_PS2)
+            continue
+        mean = mean + lag * rate
+        own = own + 2.0 * lag * both + lag**2 * of_rate + _TURNS_PS3 * lag**3 / 3.0
+        both = both + lag * of_rate + _TURNS_PS3 * lag**2 / 2.0
+        of_rate = of_rate + _TURNS_PS3 * lag
+        spread, miss = own + off, seen - mean
+        mean, rate = mean + own / spread * miss, rate + both / spread * miss
+        of_rate = of_rate - both**2 / spread
+        own, both = own * off / spread, both * off / spread
+        squares += miss**2 / spread
+        spreads += np.log(spread)
+        n += 1
+    return np.asarray(-0.5 * (n * np.log(np.maximum(squares, 1e-300)) + spreads))
+
+
+def _smoothed_turns(
+    time_s: FloatArray, angle: FloatArray, noise: FloatArray, jerk: float
+) -> tuple[FloatArray, FloatArray]:
+    """Filtered and smoothed headings and rates, (N, 2) each.
+
+    Numbers rather than arrays: a day of headings has hundreds of thousands of steps.
+
+    Args:
+        time_s: (N,) POSIX seconds.
+        angle: (N,) radians, unwrapped.
+        noise: (N,) variances, in those of one heading.
+        jerk: Spectral density of the angular acceleration, in the variance of one heading.
+    """
+    steps = []
+    mean = rate = own = both = of_rate = 0.0
+    lags = np.diff(time_s, prepend=-np.inf).tolist()
+    for lag, seen, off in zip(lags, angle.tolist(), noise.tolist(), strict=True):
+        if lag > LARGEST_GAP_S:
+            mean, rate, own, both, of_rate = seen, 0.0, off, 0.0, _RATE_PS2
+        else:
+            mean += lag * rate
+            own += 2.0 * lag * both + lag**2 * of_rate + jerk * lag**3 / 3.0
+            both += lag * of_rate + jerk * lag**2 / 2.0
+            of_rate += jerk * lag
+            spread, miss = own + off, seen - mean
+            mean, rate = mean + own / spread * miss, rate + both / spread * miss
+            of_rate -= both**2 / spread
+            own, both = own * off / spread, both * off / spread
+        steps.append((mean, rate, own, both, of_rate))
+    smooth = [(mean, rate)]
+    for (mean, rate, own, both, of_rate), lag in zip(steps[-2::-1], lags[:0:-1], strict=True):
+        if lag > LARGEST_GAP_S:
+            smooth.append((mean, rate))
+            continue
+        ahead = own + 2.0 * lag * both + lag**2 * of_rate + jerk * lag**3 / 3.0
+        ahead_both = both + lag * of_rate + jerk * lag**2 / 2.0
+        ahead_rate = of_rate + jerk * lag
+        whole = ahead * ahead_rate - ahead_both**2
+        off, off_rate = smooth[-1][0] - mean - lag * rate, smooth[-1][1] - rate
+        one = (ahead_rate * off - ahead_both * off_rate) / whole
+        two = (ahead * off_rate - ahead_both * off) / whole
+        smooth.append(
+            (
+                mean + (own + lag * both) * one + both * two,
+                rate + (both + lag * of_rate) * one + of_rate * two,
+            )
+        )
+    return np.array(steps)[:, :2], np.array(smooth[::-1])
+
+
+# The way and the turning are asked for with each track and each moment, and take a while.
 @lru_cache(maxsize=8)
-def _unwrapped(headings: Headings) -> FloatArray:
-    """(N,) unwrapped angles, radians."""
-    return np.unwrap(np.radians(headings.heading_deg))
+def _turning(headings: Headings) -> _Turning:
+    return _Turning.of(headings)
 
 
 @lru_cache(maxsize=8)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.geodesy import LocalPlane
+from sightline.logged_motion import LONGEST_GAP_S, LoggedMotion, spikes, usable
 from sightline.synchronisation import LARGEST_GAP_S, distinct
 from sightline.types import Fixes, FloatArray
 
@@ -18,6 +20,19 @@ LARGEST_REPORT_GAP_S = 150.0
 _UNTOLD_MPS2 = 0.02
 
 
+def without_leaps(fixes: Fixes, plane: LocalPlane) -> tuple[Fixes, Fixes]:
+    """A log with distinct times without the fixes that leap off the path and back, and these.
+
+    Args:
+        fixes: The log.
+        plane: Near it.
+    """
+    log = distinct(fixes)
+    place = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
+    leaps = spikes(log.time_utc_s, place)
+    return (log[~leaps], log[leaps]) if leaps.any() else (log, log[leaps])
+
+
 @dataclass(frozen=True, eq=False)
 class ReferenceStates:
     """Positions and velocities of one vessel at given times.
@@ -26,11 +41,13 @@ class ReferenceStates:
         east_north_m: (N, 2) float64, metres; NaN where the log does not tell.
         velocity_mps: (N, 2) float64, east and north; NaN likewise.
         sigma_m: (N,) float64, standard deviation of the interpolation, metres; 0 on a fix.
+        fix_time_utc_s: (N, 2) float64, times of the fixes on either side; NaN likewise.
     """
 
     east_north_m: FloatArray
     velocity_mps: FloatArray
     sigma_m: FloatArray
+    fix_time_utc_s: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +55,8 @@ class ReferenceTrajectory:
     """Trajectory of one logged vessel in the plane.
 
     Between two fixes that tell course and speed the path is the cubic that has those velocities at
-    its ends (Hermite), otherwise a straight line.
+    its ends (Hermite). Otherwise it is a straight line in a short gap, and in a long one what a
+    motion model expects: see `sightline.logged_motion`.
 
     Attributes:
         name: Of the vessel.
@@ -64,7 +82,7 @@ class ReferenceTrajectory:
             velocity_mps: (N, 2) over ground as the fixes reported it, NaN where they did not.
         """
         if velocity_mps is None or not np.isfinite(velocity_mps).any():
-            log = distinct(fixes)
+            log, _ = without_leaps(fixes, plane)
             place = np.stack(plane.to_plane(log.latitude_deg, log.longitude_deg), axis=1)
             return cls(fixes.name, log.time_utc_s, place, np.full((len(log), 2), np.nan))
         place = np.stack(plane.to_plane(fixes.latitude_deg, fixes.longitude_deg), axis=1)
@@ -82,13 +100,22 @@ class ReferenceTrajectory:
         place, velocity = np.full((n, 2), np.nan), np.full((n, 2), np.nan)
         sigma = np.full(n, np.nan)
         if k < 2:
-            return ReferenceStates(place, velocity, sigma)
+            return ReferenceStates(place, velocity, sigma, np.full((n, 2), np.nan))
         right = np.clip(np.searchsorted(self.time_utc_s, times, side="left"), 1, k - 1)
         left = right - 1
         span = self.time_utc_s[right] - self.time_utc_s[left]
         both = self.velocity_mps[left] + self.velocity_mps[right]
         told = np.isfinite(both[:, 0]) & np.isfinite(both[:, 1])
         inside = (times >= self.time_utc_s[0]) & (times <= self.time_utc_s[-1])
+        around = np.stack([self.time_utc_s[left], self.time_utc_s[right]], axis=1)
+        around[~inside] = np.nan
+        long = np.flatnonzero(inside & ~told & (span > LARGEST_GAP_S) & (span <= LONGEST_GAP_S))
+        if long.size:
+            bridged = self.motion.at(times[long], left[long])
+            known = usable(bridged)
+            rows = long[known]
+            place[rows], velocity[rows] = bridged.east_north_m[known], bridged.velocity_mps[known]
+            sigma[rows] = bridged.sigma_m[known]
         rows = np.flatnonzero(
             inside & (span <= np.where(told, LARGEST_REPORT_GAP_S, LARGEST_GAP_S))
         )
@@ -105,4 +132,9 @@ class ReferenceTrajectory:
         slope = (1.0 - 2.0 * u) * ((1.0 - u) * bend + u * twist) + u * (1.0 - u) * (twist - bend)
         velocity[rows] = chord + slope / span
         sigma[rows] = (_UNTOLD_MPS2 * span**2 * u * (1.0 - u))[:, 0]
-        return ReferenceStates(place, velocity, sigma)
+        return ReferenceStates(place, velocity, sigma, around)
+
+    @cached_property
+    def motion(self) -> LoggedMotion:
+        """Its motion where the log has long gaps."""
+        return LoggedMotion.of(self.time_utc_s, self.east_north_m)

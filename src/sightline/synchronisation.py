@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike
 
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
-from sightline.types import BoolArray, Fixes, FloatArray, utc_text
+from sightline.types import BoolArray, Fixes, FloatArray, IntArray, utc_text
 
 LARGEST_GAP_S = 8.0
 """A time counts where the fixes on either side of it are at most this far apart."""
+
+_FEW, _FEW_SHARE = 5, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,23 +49,111 @@ class Synchronised:
 def distinct(fixes: Fixes) -> Fixes:
     """Fixes with distinct times.
 
-    A log that keeps whole seconds and writes several fixes under one of them has cut off the
-    fractions: its fixes are spread evenly over their second, in their order. In a log with
-    fractions, fixes that share a time count as one, their mean.
+    A fix that stands twice, with its time and its place, counts once. Where a log has cut off the
+    fractions of its seconds, its fixes are spread evenly over their second; see `spread_times`. In
+    any other, fixes that share a time count as one, their mean.
     """
-    times, first, group, count = np.unique(
-        fixes.time_utc_s, return_index=True, return_inverse=True, return_counts=True
-    )
-    if times.size == fixes.time_utc_s.size:
+    if (np.diff(fixes.time_utc_s) > 0.0).all():
         return fixes
-    if np.array_equal(times, np.floor(times)):
-        place = np.arange(fixes.time_utc_s.size) - first[group]
-        return replace(fixes, time_utc_s=fixes.time_utc_s + (place + 0.5) / count[group])
+    log = fixes[~repeated(fixes.time_utc_s, fixes.latitude_deg, fixes.longitude_deg)]
+    log = replace(log, time_utc_s=spread_times(log.time_utc_s))
+    times, first, group, count = np.unique(
+        log.time_utc_s, return_index=True, return_inverse=True, return_counts=True
+    )
+    if times.size == len(log):
+        return log
     return Fixes(
         time_utc_s=times,
-        latitude_deg=np.bincount(group, fixes.latitude_deg) / count,
-        longitude_deg=np.bincount(group, fixes.longitude_deg) / count,
-        name=fixes.name,
+        latitude_deg=np.bincount(group, log.latitude_deg) / count,
+        longitude_deg=mean_longitudes_deg(log.longitude_deg, group, first),
+        name=log.name,
+    )
+
+
+def repeated(
+    time_utc_s: FloatArray, latitude_deg: FloatArray, longitude_deg: FloatArray
+) -> BoolArray:
+    """(N,) bool, fixes of the time and the place of one before them: they say nothing new."""
+    if (np.diff(time_utc_s) > 0.0).all():
+        return np.zeros(time_utc_s.size, dtype=bool)
+    again = np.ones(time_utc_s.size, dtype=bool)
+    rows = np.stack([time_utc_s, latitude_deg, longitude_deg], axis=1)
+    again[np.unique(rows, axis=0, return_index=True)[1]] = False
+    return again
+
+
+def spread_times(time_utc_s: FloatArray) -> FloatArray:
+    """Times with the fractions that a log cut off, if it did.
+
+    It did where it keeps whole seconds and more than half of its fixes share theirs; or where
+    about as many seconds are left out as are shared, and these are not few: then the receiver's
+    interval wanders about a second. Fixes are spread evenly over their second, in their order; one
+    by itself stands in its middle. A single second that is shared says nothing of the others.
+
+    Args:
+        time_utc_s: (N,) POSIX seconds, never decreasing.
+    """
+    if not np.array_equal(time_utc_s, np.floor(time_utc_s)):
+        return time_utc_s
+    times, first, group, count = np.unique(
+        time_utc_s, return_index=True, return_inverse=True, return_counts=True
+    )
+    shared, left_out = int((count > 1).sum()), int((np.diff(times) == 2.0).sum())
+    most = 2 * count[count > 1].sum() > time_utc_s.size
+    wanders = shared >= max(_FEW, _FEW_SHARE * times.size) and shared <= 2 * left_out <= 4 * shared
+    if not (most or wanders):
+        return time_utc_s
+    place = np.arange(time_utc_s.size) - first[group]
+    return np.asarray(time_utc_s + (place + 0.5) / count[group])
+
+
+def mean_longitudes_deg(longitude_deg: FloatArray, group: IntArray, first: IntArray) -> FloatArray:
+    """Mean longitude of each group, also across ±180°.
+
+    Args:
+        longitude_deg: (N,) degrees east.
+        group: (N,) number of the group of each, from 0.
+        first: (K,) row of one of each group.
+    """
+    start = longitude_deg[first]
+    beside = (longitude_deg - start[group] + 180.0) % 360.0 - 180.0
+    mean = start + np.bincount(group, beside) / np.bincount(group)
+    return np.asarray((mean + 180.0) % 360.0 - 180.0)
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """How much a log holds, and how regularly.
+
+    Attributes:
+        n: Number of fixes.
+        first_utc_s: POSIX seconds of the first; NaN for none.
+        last_utc_s: Of the last.
+        interval_s: Median time from one fix to the next; NaN for fewer than two.
+        gaps: How many times two fixes are more than `LARGEST_GAP_S` apart.
+        longest_gap_s: The longest time from one fix to the next; NaN for fewer than two.
+    """
+
+    n: int
+    first_utc_s: float
+    last_utc_s: float
+    interval_s: float
+    gaps: int
+    longest_gap_s: float
+
+
+def log_summary(fixes: Fixes) -> LogSummary:
+    """The span, the usual interval and the gaps of a log, its times as in `distinct`."""
+    times = distinct(fixes).time_utc_s
+    steps = np.diff(times)
+    nothing = float("nan")
+    return LogSummary(
+        n=len(fixes),
+        first_utc_s=float(fixes.time_utc_s[0]) if len(fixes) else nothing,
+        last_utc_s=float(fixes.time_utc_s[-1]) if len(fixes) else nothing,
+        interval_s=float(np.median(steps)) if steps.size else nothing,
+        gaps=int((steps > LARGEST_GAP_S).sum()),
+        longest_gap_s=float(steps.max()) if steps.size else nothing,
     )
 
 

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
+from sightline.camera.calibration import CameraFit, CameraFitSettings, _Problem, fit_camera
 from sightline.camera.observations import PointCorrespondences
-from sightline.camera.parameters import CAMERA, HEADING, LOG_FOCAL, PARAMETERS, PITCH, TARGET
+from sightline.camera.parameters import (
+    CAMERA,
+    HEADING,
+    LOG_FOCAL,
+    PARAMETERS,
+    PITCH,
+    POSITION,
+    TARGET,
+)
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, PixelNoise, SourcePrior
 from sightline.errors import FitError
@@ -684,3 +692,64 @@ def test_logs_of_something_further_away_do_not_become_a_habit_of_the_place() -> 
             off.append(np.nanmedian(np.abs(np.log(found / distance))))
         # A tenth of the range is what these logs turn the camera by; more is the residual's.
         assert off[1] < 1.2 * off[0] < 0.12
+
+
+def problem_of(world: World, *, position_known: bool) -> _Problem:
+    return _Problem(world.sightings, SIZE, 1, CameraPrior(), position_known, None)
+
+
+def test_a_camera_whose_place_is_unknown_is_sought_all_around_the_targets() -> None:
+    world = plant(3)
+    problem = problem_of(world, position_known=False)
+    count = 12
+    starts = problem.starts(count, np.random.default_rng(0))
+    log = np.stack([world.sightings.east_m, world.sightings.north_m], axis=1)
+    away = np.array([start[POSITION] for start in starts]) - log.mean(axis=0)
+    spread = np.sqrt(np.mean(np.sum((log - log.mean(axis=0)) ** 2, axis=1)))
+    times_spread = np.hypot(*away.T) / spread
+    # Never among the targets, and not out of sight of them.
+    assert (times_spread >= 1.0 - 1e-9).all()
+    assert (times_spread <= np.exp(1.6) + 1e-9).all()
+    sector = np.floor(np.arctan2(away[:, 0], away[:, 1]) % (2.0 * np.pi) / (2.0 * np.pi) * count)
+    assert sorted(sector.astype(int).tolist()) == list(range(count))
+    # Each looks at them: the middle of the targets is within a right angle of its axis.
+    for start, offset in zip(starts, away, strict=True):
+        axis = np.array([np.sin(start[HEADING]), np.cos(start[HEADING])])
+        assert axis @ -offset > 0.0
+
+
+@pytest.mark.parametrize(("turned_deg", "ahead"), [(0.0, True), (180.0, False)])
+def test_a_camera_with_its_back_to_most_targets_is_no_solution(
+    turned_deg: float, ahead: bool
+) -> None:
+    world = plant(5)
+    problem = problem_of(world, position_known=True)
+    vector = problem.mean.copy()
+    vector[CAMERA] = world.camera.to_vector()
+    vector[HEADING] += np.radians(turned_deg)
+    # By hand: the share of the targets on the side of the optical axis.
+    axis = np.sin(vector[HEADING]), np.cos(vector[HEADING])
+    forward = axis[0] * (world.sightings.east_m - world.camera.east_m) + axis[1] * (
+        world.sightings.north_m - world.camera.north_m
+    )
+    assert (np.mean(forward > 0.0) > 0.9) == ahead
+    assert problem._ahead(vector) == ahead
+
+
+def test_the_first_start_looks_where_the_camera_looked() -> None:
+    prior = CameraPrior()
+    camera = replace(
+        draw_camera(np.random.default_rng(2)),
+        focal_px=prior.focal_widths * SIZE[0],
+        pitch_deg=3.0,
+        roll_deg=0.0,
+        k1=0.0,
+        k2=0.0,
+        east_m=0.0,
+        north_m=0.0,
+    )
+    world = plant(2, camera=camera, hull_m=np.zeros(2), clock_s=np.zeros(5))
+    (start,) = problem_of(world, position_known=True).starts(1, np.random.default_rng(0))
+    # A level camera would be right to the arc second; a pitch of three degrees costs little.
+    off_deg = np.degrees(start[HEADING]) - camera.heading_deg
+    assert abs((off_deg + 180.0) % 360.0 - 180.0) < 1.0

@@ -15,6 +15,7 @@ from sightline.camera.correlated_noise import (
     LogError,
     Whitening,
     blocks_of,
+    gap_covariance,
     thinned,
 )
 from sightline.camera.parameters import LOG_FOCAL, PITCH
@@ -29,13 +30,18 @@ class World:
     """PointCorrespondences of two recordings and two without a time, and the covariance of their
     pixels."""
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, *, gaps: bool = False) -> None:
         rng = np.random.default_rng(seed)
         self.time_s = np.concatenate([rng.uniform(0.0, 50.0, 9), [np.nan, np.nan]])
         self.group = np.array([0, 0, 0, 0, 1, 1, 1, 1, 1, 0, 1])
         self.variance_px2 = rng.uniform(0.5, 4.0, (11, 2))
         self.by_place = rng.normal(0.0, 5.0, (11, 2, 2))
         self.pixel_px = rng.normal(0.0, 10.0, (11, 2))
+        # Fixes 20 s apart, of which the log of the second recording has no gaps.
+        begin = 20.0 * np.floor(self.time_s / 20.0)
+        self.gap_s = np.stack([begin, begin + 20.0], axis=1)
+        own = rng.uniform(2.0, 6.0, 11)
+        self.sigma_m = np.where((self.group == 0) & np.isfinite(begin) & gaps, own, 0.0)
 
     def kernel(
         self, correlated_m: float = DRIFT_M, correlation_time_s: float = DRIFT_S
@@ -47,6 +53,9 @@ class World:
                 if self.group[i] == self.group[j] and i < 9 and j < 9:
                     apart = np.sqrt((self.time_s[i] - self.time_s[j]) ** 2 + 1.0) - 1.0
                     out[i, j] = correlated_m**2 * np.exp(-apart / correlation_time_s)
+                    if self.gap_s[i, 0] == self.gap_s[j, 0]:
+                        strays = (self.time_s[i] - self.time_s[j]) / (0.42 * 20.0)
+                        out[i, j] += self.sigma_m[i] * self.sigma_m[j] * np.exp(-0.5 * strays**2)
         return out
 
     def covariance(
@@ -68,7 +77,7 @@ class World:
         self, correlated_m: float = DRIFT_M, correlation_time_s: float = DRIFT_S
     ) -> Whitening:
         return Whitening(
-            blocks_of(self.time_s, self.group),
+            blocks_of(self.time_s, self.group, self.sigma_m, self.gap_s),
             self.variance_px2,
             self.by_place,
             correlated_m,
@@ -76,8 +85,9 @@ class World:
         )
 
 
-def test_residuals_become_independent_of_unit_variance() -> None:
-    world = World()
+@pytest.mark.parametrize("gaps", [False, True])
+def test_residuals_become_independent_of_unit_variance(gaps: bool) -> None:
+    world = World(gaps=gaps)
     whitening = world.whitening()
     made = whitening.forward(np.eye(22).reshape(11, 2, 22)).reshape(22, 22)
     covariance = world.covariance(world.variance_px2)
@@ -85,8 +95,9 @@ def test_residuals_become_independent_of_unit_variance() -> None:
     assert whitening.log_determinant() == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1])
 
 
-def test_the_likeliest_error_is_the_conditional_mean() -> None:
-    world = World()
+@pytest.mark.parametrize("gaps", [False, True])
+def test_the_likeliest_error_is_the_conditional_mean(gaps: bool) -> None:
+    world = World(gaps=gaps)
     whitening = world.whitening()
     pulled = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))[:, :, 0]
     solved = np.linalg.solve(world.covariance(world.variance_px2), world.pixel_px.ravel())
@@ -95,8 +106,9 @@ def test_the_likeliest_error_is_the_conditional_mean() -> None:
     np.testing.assert_allclose(whitening.correlated_error(pulled), expected, rtol=1e-9, atol=1e-12)
 
 
-def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> None:
-    world = World()
+@pytest.mark.parametrize("gaps", [False, True])
+def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out(gaps: bool) -> None:
+    world = World(gaps=gaps)
     design = np.random.default_rng(5).normal(0.0, 3.0, (11, 2, 3))
     flat = design.reshape(22, 3)
 
@@ -122,6 +134,34 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out() -> 
     logs = np.log([DRIFT_M, DRIFT_S])
     expected = approx_fprime(logs, lambda t: negative_log(given, *np.exp(t)), 1e-6)
     np.testing.assert_allclose([by_size, by_length], expected, atol=1e-4)
+
+
+def test_what_a_vessel_does_in_a_gap_is_half_alike_at_half_a_gap() -> None:
+    """Of an integrated Wiener process whose ends are known, places and velocities."""
+    span = 20.0
+    since_s = np.linspace(2.0, 18.0, 9)
+    times = np.array([0.0, span])
+
+    def places(a: FloatArray, b: FloatArray) -> FloatArray:
+        a, b = np.meshgrid(a + 1.0, b + 1.0, indexing="ij")
+        less = np.minimum(a, b)
+        return less**2 * (less / 3.0 + np.abs(a - b) / 2.0) + 1e5 * (1.0 + a * b)
+
+    # Fixes before and after the gap tell the velocities at its ends.
+    around = np.concatenate([times - span, times, times + span])
+    around = np.unique(around)
+    own = places(around, around) + 1e-6 * np.eye(around.size)
+    across = places(since_s, around)
+    true = places(since_s, since_s) - across @ np.linalg.solve(own, across.T)
+    sigma = np.sqrt(np.diag(true))
+    found = gap_covariance(since_s, sigma, np.tile(times, (9, 1)))
+    np.testing.assert_allclose(np.diag(found), np.diag(true))
+    correlation, expected = found / np.outer(sigma, sigma), true / np.outer(sigma, sigma)
+    assert np.abs(correlation - expected).max() < 0.35
+    assert np.abs(correlation - expected).mean() < 0.12
+    assert np.linalg.eigvalsh(found).min() > -1e-9
+    two = gap_covariance(since_s[:2], sigma[:2], np.array([[0.0, 3.0], [3.0, 6.0]]))
+    assert two[0, 1] == 0.0
 
 
 def test_a_coordinate_sees_its_share_of_the_error() -> None:

@@ -10,7 +10,7 @@ from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection.tiling import TilingSettings
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
-from sightline.simulation import Harbour, Renderer
+from sightline.simulation import Harbour, HarbourSettings, Renderer
 
 
 def drawn(
@@ -42,7 +42,7 @@ def test_where_there_is_no_horizon_none_is_found() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_synthetic_harbour(seed: int) -> None:
-    harbour = Harbour.random(seed, duration_s=20.0)
+    harbour = Harbour.random(seed, HarbourSettings(duration_s=20.0))
     renderer = Renderer(harbour)
     finder = HorizonFinder()
     for time_s in (0.0, 8.0):

@@ -165,6 +165,28 @@ def test_a_located_pixel_is_projected_to_itself(
     )
 
 
+@pytest.mark.parametrize(
+    ("k1", "k2", "radii"),
+    [
+        # Nearly flat at a radius of 2, where the distorted radius is 1.104.
+        (-0.16, 0.012, [1.0, 1.104, 1.2238, 1.5]),
+        # Folds at a radius of 1.4907, where the distorted radius is 0.99381.
+        (-0.15, 0.0, [0.5, 0.9, 0.9937, 0.99380]),
+        (0.1, 0.05, [0.5, 3.0, 20.0]),
+    ],
+)
+def test_a_lens_is_undone_where_it_is_nearly_flat(k1: float, k2: float, radii: list[float]) -> None:
+    camera = replace(CAMERA, k1=k1, k2=k2, image_size_px=(40_000, 40_000))
+    middle = np.array(camera.image_size_px) / 2.0
+    pixel = middle + camera.focal_px * np.array(radii)[:, None] * [0.6, -0.8]
+    rays = camera.rays(pixel)
+    radius = np.hypot(rays[:, 0], rays[:, 1]) / rays[:, 2]
+    # The lens model by hand.
+    np.testing.assert_allclose(radius * (1.0 + k1 * radius**2 + k2 * radius**4), radii, rtol=1e-12)
+    for one, (x, y) in zip(radius, pixel, strict=True):
+        assert np.hypot(*camera._undistorted_one(x, y)) == pytest.approx(one, rel=1e-9)
+
+
 @given(camera=cameras)
 def test_nothing_lies_at_or_above_the_horizon(camera: Camera) -> None:
     columns = np.linspace(0.0, camera.image_size_px[0], 9)

@@ -23,7 +23,7 @@ from sightline.errors import InputError, ModelFileError
 from sightline.geodesy import LocalPlane
 from sightline.pipeline.evaluate import place_boxes, score
 from sightline.pipeline.track import TrackSettings
-from sightline.simulation import Knock, SimulatedCamera, simulate
+from sightline.simulation import Knock, SimulatedCamera, SimulationSettings, simulate
 from sightline.simulation.harbour import START_UTC_S
 from sightline.synchronisation import synchronise
 from sightline.types import Boxes, Frame, Positions
@@ -183,14 +183,16 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> World:
         Scene.load(
             simulate(
                 tmp_path_factory.mktemp("harbour"),
-                seed=2,
-                recordings=2,
-                duration_s=50.0,
-                rate_hz=2.0,
-                image_size_px=(640, 360),
-                clock="exact",
-                video=knock is not None,
-                knock=knock,
+                SimulationSettings(
+                    seed=2,
+                    recordings=2,
+                    duration_s=50.0,
+                    rate_hz=2.0,
+                    image_size_px=(640, 360),
+                    clock="exact",
+                    video=knock is not None,
+                    knock=knock,
+                ),
             ).scene
         )
         for knock in (Knock(KNOCKED_S, pitch_deg=1.0), None)
@@ -312,7 +314,7 @@ def test_a_knock_turns_the_simulated_camera_and_the_sky_stays(world: World) -> N
         camera.project(there, knock.turn(camera, [9.0])), camera.project(there)
     )
     with pytest.raises(InputError, match="under way"):
-        simulate(world.scene.path.parent / "none", moving=True, knock=knock)
+        simulate(world.scene.path.parent / "none", SimulationSettings(moving=True, knock=knock))
 
 
 @pytest.mark.slow

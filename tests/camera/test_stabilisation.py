@@ -20,7 +20,7 @@ from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.pipeline.evaluate import leave_one_out, place_boxes, score, with_forecasts
 from sightline.pipeline.track import TrackSettings
 from sightline.scene.camera_state import scene_horizons
-from sightline.simulation import Harbour, simulate
+from sightline.simulation import Harbour, HarbourSettings, SimulationSettings, simulate
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway
 from sightline.synchronisation import synchronise
@@ -107,7 +107,9 @@ def test_boxes_without_a_horizon_near_their_time_are_left_out() -> None:
 @pytest.fixture(scope="module")
 def at_sea(tmp_path_factory: pytest.TempPathFactory) -> sightline.Scene:
     folder = tmp_path_factory.mktemp("sea")
-    return sightline.Scene.load(simulate(folder, seed=1, video=False, moving=True).scene)
+    return sightline.Scene.load(
+        simulate(folder, SimulationSettings(seed=1, video=False, moving=True)).scene
+    )
 
 
 @pytest.mark.slow
@@ -204,12 +206,9 @@ def test_boxes_keep_the_horizon_of_their_own_frame_however_far_the_detector_runs
 ) -> None:
     made = simulate(
         tmp_path,
-        seed=0,
-        recordings=1,
-        duration_s=9.0,
-        rate_hz=4.0,
-        moving=True,
-        image_size_px=(640, 360),
+        SimulationSettings(
+            seed=0, recordings=1, duration_s=9.0, rate_hz=4.0, moving=True, image_size_px=(640, 360)
+        ),
     )
     scene = sightline.Scene.load(made.scene)
     (recording,) = scene.recordings
@@ -289,7 +288,9 @@ def test_a_scene_of_a_camera_that_moves_only_now_and_then_is_refused(
 
 @pytest.mark.slow
 def test_the_waterline_is_found_in_pictures_of_a_sea_way(tmp_path: Path) -> None:
-    made = simulate(tmp_path, seed=0, recordings=1, duration_s=4.0, rate_hz=3.0, moving=True)
+    made = simulate(
+        tmp_path, SimulationSettings(seed=0, recordings=1, duration_s=4.0, rate_hz=3.0, moving=True)
+    )
     (recording,) = sightline.Scene.load(made.scene).recordings
     found = scene_horizons(recording)
     assert found is not None
@@ -320,7 +321,7 @@ def test_nothing_is_found_where_nothing_is() -> None:
 
 
 def test_heave_is_told_from_errors_of_the_log(at_sea: sightline.Scene) -> None:
-    simulated = Harbour.random(1, duration_s=214.0, moving=True)
+    simulated = Harbour.random(1, HarbourSettings(duration_s=214.0, moving=True))
     assert simulated.platform is not None
     lifted = simulated.platform.heave_m(np.arange(0.0, 214.0, 0.1))
     model = sightline.fit(at_sea, "camera")
@@ -353,7 +354,7 @@ def _without_heave(state: tuple) -> tuple:
 
 @pytest.mark.slow
 def test_a_camera_that_stands_still_does_not_heave(tmp_path: Path) -> None:
-    scene = sightline.Scene.load(simulate(tmp_path, seed=1, video=False).scene)
+    scene = sightline.Scene.load(simulate(tmp_path, SimulationSettings(seed=1, video=False)).scene)
     assert sightline.fit(scene, "camera").regressor.fit_.noise.heave_m == 0.0
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from sightline import Scene, fit
 from sightline.cli import main
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 from sightline.types import Frame
 from sightline.video import write_video
 
@@ -60,7 +60,10 @@ def made_harbour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A harbour that others only copy: boxes, clocks, a log, a scene, models, a small video."""
     folder = tmp_path_factory.mktemp("made") / "harbour"
     made = simulate(
-        folder, video=False, recordings=3, duration_s=20.0, seed=1, image_size_px=SIZE_PX
+        folder,
+        SimulationSettings(
+            video=False, recordings=3, duration_s=20.0, seed=1, image_size_px=SIZE_PX
+        ),
     )
     for name in ("camera", "qkr"):
         fit(Scene.load(made.scene), name).save(folder / f"{name}.safetensors")

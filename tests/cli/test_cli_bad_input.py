@@ -465,8 +465,8 @@ LOGS = [
     *(
         (f"the time {time}", log_table(f"{time},32,-117"), FIT, rf"line 2: {shown} is no time")
         for time, shown in [
-            ("1e300", r"1e\+300"),
-            ("-1e12", r"-1000000000000\.0"),
+            ("1e300", "1e300"),
+            ("-1e12", "-1e12"),
             ("inf", "inf"),
             ("9999-12-31", "9999-12-31"),
         ]

@@ -30,7 +30,7 @@ MISSING_SCENE = "error: nothing.toml: there is no such scene file"
 MISSING_MODEL = (
     "error: nothing.safetensors: there is no such model file; `sightline fit` writes one"
 )
-COMMANDS = ("demo", "run", "fit", "compare", "track", "evaluate", "detect", "simulate")
+COMMANDS = ("demo", "check", "run", "fit", "compare", "track", "evaluate", "detect", "simulate")
 DETECTOR_COMMANDS = ("label", "train", "evaluate", "compare", "export")
 
 
@@ -81,6 +81,7 @@ def test_version_and_help_load_nothing_heavy(lines: list[str], tmp_path: Path) -
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
+        ("check nothing.toml", MISSING_SCENE),
         ("run nothing.toml -o out", MISSING_SCENE),
         ("fit nothing.toml -o m.safetensors", MISSING_SCENE),
         ("compare nothing.toml", MISSING_SCENE),

@@ -11,7 +11,7 @@ from sightline.errors import InputError, ModelFileError
 from sightline.formats import write_boxes, write_fixes
 from sightline.pipeline.fit_unlabelled import fit_scene, update_scene
 from sightline.scene import Scene
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise
 
 
 def day(folder, harbour, turned_px=0.0, size="[1280, 720]"):
@@ -35,7 +35,8 @@ def day(folder, harbour, turned_px=0.0, size="[1280, 720]"):
 
 
 def test_a_new_day_improves_a_model_and_tells_whether_the_camera_was_turned(tmp_path):
-    harbour = Harbour.random(seed=3, duration_s=240.0)
+    harbour = Harbour.random(3, HarbourSettings(duration_s=240.0))
+
     focal_px = harbour.camera.focal_length_px
     old = fit_scene(day(tmp_path / "first", harbour), "camera")
     same = update_scene(day(tmp_path / "second", harbour), old)
@@ -53,7 +54,8 @@ def test_a_new_day_improves_a_model_and_tells_whether_the_camera_was_turned(tmp_
 
 
 def test_models_that_cannot_be_updated_are_refused_in_one_line_and_nothing_is_written(tmp_path):
-    harbour = Harbour.random(seed=3, duration_s=120.0)
+    harbour = Harbour.random(3, HarbourSettings(duration_s=120.0))
+
     scene = day(tmp_path / "first", harbour)
     paper = fit_scene(scene, "qkr")
     with pytest.raises(InputError, match="has no camera"):

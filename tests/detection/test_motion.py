@@ -5,7 +5,7 @@ import pytest
 
 from sightline.detection import MotionDetector, MotionSettings, detector_by_name
 from sightline.errors import InputError
-from sightline.simulation import Harbour, Renderer, SimulatedCamera
+from sightline.simulation import Harbour, HarbourSettings, Renderer, SimulatedCamera
 from sightline.types import Boxes, Frame
 
 
@@ -97,7 +97,10 @@ def test_detectors_have_names() -> None:
 def harbour() -> Harbour:
     camera = SimulatedCamera(5.0, 3.0, 0.5, 40.0, 470.0, k1=-0.2, k2=0.03, image_size_px=(640, 360))
     return Harbour.random(
-        5, duration_s=25.0, camera=camera, motorboats=3, sailboats=1, ferries=1, anchored=1
+        5,
+        HarbourSettings(
+            duration_s=25.0, camera=camera, motorboats=3, sailboats=1, ferries=1, anchored=1
+        ),
     )
 
 

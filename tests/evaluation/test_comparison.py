@@ -98,6 +98,15 @@ def test_names_with_brackets_are_printed_as_they_are() -> None:
     assert "nn [old]" in rendered(overview_table(Comparison(reports)))
 
 
+def test_names_in_a_table_send_nothing_to_a_terminal() -> None:
+    name = "\x1b[2Jv1[/b]\\"
+    reports = {name: report_off(**{name: 4.0})}
+    for table in (paper_table(reports), overview_table(Comparison(reports))):
+        text = rendered(table)
+        assert "\x1b" not in text
+        assert r"\x1b[2Jv1[/b]" in text
+
+
 def test_the_overview_has_a_row_for_each_model() -> None:
     comparison = Comparison(
         {"nn": report_off(v1=4.0), "qkr": report_off(v1=2.0)}, {"qkr": report_off(v1=1.0)}

@@ -16,7 +16,8 @@ from sightline.formats.labels import Labels, read_labels, write_labels
 from sightline.types import NO_FRAME, NO_TRACK, Boxes
 
 pixel = st.floats(-5000.0, 5000.0)
-side = st.floats(0.01, 5000.0)
+# Boxes all of which are within the first pixel would be in shares of the picture.
+side = st.floats(2.0, 5000.0)
 word = st.text("abcdefghijklmnop-_ÄØ0123456789", max_size=8)
 
 
@@ -108,7 +109,7 @@ def test_real_detections_with_boxes_that_have_no_size(
         read_boxes(path)
     with caplog.at_level(logging.WARNING):
         boxes = read_boxes(path, source="orb", skip_empty=True)
-    assert f"{len(rows) - len(sized)} boxes without width or height" in caplog.text
+    assert f"left out: {len(rows) - len(sized)} without width or height (line " in caplog.text
     assert boxes.track_id.tolist() == [int(row["track_id"]) for row in sized]
     assert set(boxes.source) == {"orb"}
 
@@ -219,10 +220,14 @@ HEAD = "frame,x1,y1,x2,y2\n"
         ("a.csv", "\x89PNG\0\0", "is not text"),
         ("a.txt", "", "is empty"),
         ("a.txt", "1,1,2,3\n", "has 4 columns; a MOTChallenge file has at least six"),
-        ("a.txt", "0,1,0,0,5,5,1,-1,-1,-1\n", "line 1: 0 is no frame; MOTChallenge counts from 1"),
+        (
+            "a.txt",
+            "-2,1,0,0,5,5,1,-1,-1,-1\n",
+            "line 1: -2 is no frame; MOTChallenge counts from 1",
+        ),
         ("a.txt", "1,1,0,0,5,-5,1,-1,-1,-1\n", "line 1: the box 0,0,5,-5 is empty or reversed"),
-        ("a.txt", "1,1,0,0,5,5,30.5,-1,-1,-1\n", "30.5 is no confidence between 0 and 1"),
-        ("a.txt", "frame,id,left,top,w,h\n1,1,0,0,5,5\n", "line 1: left is no number"),
+        ("a.txt", "1,1,0,0,5,5,130.5,-1,-1,-1\n", "130.5 is no confidence between 0 and 1"),
+        ("a.txt", "frame,id,left,top,w\n1,1,0,0,5\n", "lacks the columns x2, y2"),
         ("a.json", "{}", r"no format of boxes ends in '\.json'; known are \.csv, \.txt"),
     ],
 )

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from sightline.camera.parameters import LOG_FOCAL, LOG_HEIGHT, PITCH
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.observations import CameraObservations
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise
 from sightline.synchronisation import synchronise
 from sightline.types import FloatArray
 
@@ -43,7 +43,7 @@ class Learned:
 
 @cache
 def draw_harbour(seed: int) -> Harbour:
-    return Harbour.random(seed, duration_s=WINDOWS * WINDOW_S)
+    return Harbour.random(seed, HarbourSettings(duration_s=WINDOWS * WINDOW_S))
 
 
 def learn(seed: int, noise: BoxNoise) -> Learned:

@@ -17,7 +17,7 @@ from sightline.georeferencing.support import Support
 from sightline.scene import Scene
 from sightline.scene.camera_state import scene_static_intervals
 from sightline.scene.correspondences import scene_correspondences
-from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
 
 MODELS_OF_CAMERAS = ("camera", "camera+gpr")
 
@@ -182,7 +182,7 @@ def test_covariances_cover_the_errors_that_truth_shows(
 ) -> None:
     squares = []
     for seed in (77, 78, 79):
-        world = Harbour.random(seed, duration_s=120.0, camera=small_camera)
+        world = Harbour.random(seed, HarbourSettings(duration_s=120.0, camera=small_camera))
         boxes = world.boxes(world.times(1.0), noise=BoxNoise(std_px=1.0))
         truth = world.truth(boxes.time_utc_s)
         found = fitted(model).locate(boxes.xyxy_px, source="first")
@@ -229,7 +229,7 @@ def test_a_target_that_stays_in_one_place_is_refused(
 
 def test_logs_that_do_not_overlap_state_both_spans(small_scene: Scene, tmp_path: Path) -> None:
     folder = small_scene.path.parent
-    late = Harbour.random(3, duration_s=60.0, start_utc_s=1_717_336_000.0)
+    late = Harbour.random(3, HarbourSettings(duration_s=60.0, start_utc_s=1_717_336_000.0))
     write_fixes(late.fixes(), tmp_path / "late.csv")
     text = small_scene.path.read_text(encoding="utf-8")
     for i in range(2):

@@ -8,7 +8,7 @@ import pytest
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs, FitSettings, fit
 from sightline.georeferencing.recalibration import camera_changes
-from sightline.simulation import BoxNoise, Harbour
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings
 from sightline.types import ControlPoints
 
 
@@ -35,7 +35,8 @@ def model_of(harbour, pairs):
 def test_a_turn_in_mid_recording_is_dated_and_measured_and_none_is_seen_without():
     alarms = 0
     for seed in range(4):
-        harbour = Harbour.random(seed=seed, duration_s=240.0)
+        harbour = Harbour.random(seed, HarbourSettings(duration_s=240.0))
+
         pairs = harbour_pairs(harbour, 1.0, harbour.times(rate_hz=1.0))
         model = model_of(harbour, pairs[::2])
         alarms += len(camera_changes(model, pairs[1::2]))

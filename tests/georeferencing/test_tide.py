@@ -15,7 +15,7 @@ from sightline.formats import write_boxes, write_fixes
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.pipeline.evaluate import place_boxes, score
 from sightline.pipeline.fit_unlabelled import update_scene
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise, SimulatedCamera
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise, SimulatedCamera
 from sightline.types import NO_TRACK
 
 DATUM_M = 31.0
@@ -37,7 +37,9 @@ def harbour_at(level_m: float, seed: int) -> Harbour:
     """A harbour as the camera sees it when the water stands at a level."""
     camera = replace(CAMERA, height_m=ABOVE_DATUM_M - level_m)
     start_utc_s = 1_717_236_000.0 + 7200.0 * seed
-    return Harbour.random(seed, duration_s=120.0, camera=camera, start_utc_s=start_utc_s, gulls=0)
+    return Harbour.random(
+        seed, HarbourSettings(duration_s=120.0, camera=camera, start_utc_s=start_utc_s, gulls=0)
+    )
 
 
 def write_scene(

@@ -17,7 +17,7 @@ from sightline.labelling import Proposals, TargetSize, expect, learn_size, propo
 from sightline.labelling.expected import place_of
 from sightline.labelling.snapping import Background, BoxPrior, Look, snap
 from sightline.overlap import iou
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 from sightline.types import Frame
 
 pytestmark = pytest.mark.slow
@@ -29,13 +29,15 @@ def harbour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("labelled")
     simulate(
         folder,
-        seed=2,
-        recordings=2,
-        duration_s=40.0,
-        rate_hz=1.5,
-        annotation_interval_s=1.0,
-        image_size_px=(768, 432),
-        unlabelled=1,
+        SimulationSettings(
+            seed=2,
+            recordings=2,
+            duration_s=40.0,
+            rate_hz=1.5,
+            annotation_interval_s=1.0,
+            image_size_px=(768, 432),
+            unlabelled=1,
+        ),
     )
     return folder
 

@@ -1,10 +1,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -18,7 +18,13 @@ from sightline.geodesy import LocalPlane
 from sightline.pipeline import sources
 from sightline.pipeline.evaluate import leave_one_out, place_boxes
 from sightline.pipeline.track import TrackSettings, _OpenTracks
-from sightline.simulation import BoxNoise, Harbour, SimulatedCamera
+from sightline.simulation import (
+    BoxNoise,
+    Harbour,
+    HarbourSettings,
+    SimulatedCamera,
+    SimulationSettings,
+)
 from sightline.simulation.simulate import Simulation, simulate
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, LocatedBoxes, Positions, Track
 from sightline.video import write_video
@@ -139,13 +145,15 @@ def many_boxes(small_camera: SimulatedCamera) -> Boxes:
     """What a detector sees of eight vessels near and far, with the vessels' ids."""
     harbour = Harbour.random(
         3,
-        duration_s=30.0,
-        motorboats=4,
-        sailboats=2,
-        ferries=1,
-        anchored=0,
-        gulls=0,
-        camera=small_camera,
+        HarbourSettings(
+            duration_s=30.0,
+            motorboats=4,
+            sailboats=2,
+            ferries=1,
+            anchored=0,
+            gulls=0,
+            camera=small_camera,
+        ),
     )
     noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="detector")
     return harbour.boxes(harbour.times(10.0), noise=noise, of="all", seed=1)
@@ -182,6 +190,41 @@ def test_tracks_do_not_depend_on_how_a_table_is_cut(
             assert one.track_id == other.track_id
             for name in Track._row_fields:
                 np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_groups_of_moments_are_the_same_however_the_boxes_come(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    # Three boxes a moment on average, and some moments with one.
+    times = START_S + np.repeat(np.arange(100) / 5.0, rng.integers(1, 6, 100))
+    boxes = Boxes.of(np.tile([1.0, 2.0, 3.0, 4.0], (times.size, 1)), time_utc_s=times)
+    cuts = np.sort(rng.choice(np.arange(1, times.size), 12, replace=False))
+    pieces = [boxes[rows] for rows in np.split(np.arange(times.size), cuts)]
+    groups = list(sources.groups_of_moments(pieces, 16))
+    assert [np.unique(group.time_utc_s).size for group in groups] == [16] * 6 + [4]
+    np.testing.assert_array_equal(np.concatenate([g.time_utc_s for g in groups]), times)
+
+
+@pytest.mark.parametrize("ids", [True, False], ids=["with ids", "without ids"])
+def test_each_box_is_located_once(
+    many_boxes: Boxes, fitted: Callable[[str], Georeferencer], ids: bool
+) -> None:
+    boxes = (
+        many_boxes if ids else many_boxes.with_columns(track_id=np.full(len(many_boxes), NO_TRACK))
+    )
+    located: list[FloatArray] = []
+
+    class Counting(Georeferencer):
+        def locate(self, boxes_xyxy_px: ArrayLike, *args: Any, **named: Any) -> Positions:
+            located.append(np.reshape(boxes_xyxy_px, (-1, 4)))
+            return super().locate(boxes_xyxy_px, *args, **named)
+
+    model = fitted("camera")
+    counting = Counting(**{one.name: getattr(model, one.name) for one in fields(model)})
+    assert list(iter_tracks(boxes, counting))
+    rows = np.concatenate(located)
+    assert len(np.unique(rows, axis=0)) == len(rows) <= len(boxes)
+    assert len(rows) > 0.95 * len(boxes)
 
 
 @pytest.mark.slow
@@ -369,7 +412,8 @@ def test_settings_that_make_no_sense(settings: dict[str, float], message: str) -
 @pytest.fixture(scope="module")
 def harbour(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
     return simulate(
-        tmp_path_factory.mktemp("harbour"), video=False, recordings=3, duration_s=20.0, seed=1
+        tmp_path_factory.mktemp("harbour"),
+        SimulationSettings(video=False, recordings=3, duration_s=20.0, seed=1),
     )
 
 
@@ -471,7 +515,9 @@ def test_smoothing_takes_error_away(tmp_path: Path) -> None:
     """Against the world's own truth, not its log, over harbours with different cameras."""
     single, smoothed = [], []
     for seed in (1, 2, 5):
-        made = simulate(tmp_path / str(seed), video=False, duration_s=20.0, seed=seed)
+        made = simulate(
+            tmp_path / str(seed), SimulationSettings(video=False, duration_s=20.0, seed=seed)
+        )
         model = fit(Scene.load(made.scene), "camera")
         for placed in place_boxes(Scene.load(made.scene), lambda _, model=model: model):
             positions = model.locate(placed.boxes.xyxy_px, placed.boxes.source)

@@ -19,7 +19,7 @@ from sightline.pipeline.run import RunResult, track_recording
 from sightline.pipeline.track import TrackSettings
 from sightline.reporting.run_report import write_run
 from sightline.scene.detections import SceneDetections
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import SimulationSettings, simulate
 
 
 @pytest.fixture(scope="module")
@@ -27,11 +27,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Recording 02 is too short to learn from: 01 cannot be left out, and 02 can."""
     made = simulate(
         tmp_path_factory.mktemp("harbour"),
-        video=False,
-        recordings=2,
-        duration_s=120.0,
-        rate_hz=4.0,
-        seed=1,
+        SimulationSettings(video=False, recordings=2, duration_s=120.0, rate_hz=4.0, seed=1),
     )
     scene = Scene.load(made.scene)
     folder = made.scene.parent
@@ -127,7 +123,9 @@ def test_tracks_are_scored_by_the_model_that_never_saw_them(
 
 
 def test_nothing_stands_apart_where_each_recording_was_left_out(tmp_path: Path) -> None:
-    made = simulate(tmp_path, video=False, recordings=2, duration_s=20.0, seed=1)
+    made = simulate(
+        tmp_path, SimulationSettings(video=False, recordings=2, duration_s=20.0, seed=1)
+    )
     result = run(Scene.load(made.scene), model="qkr", detector="motion")
     assert result.left_out == ("01", "02")
     assert result.smoothed_learned_from is None

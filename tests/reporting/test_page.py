@@ -5,16 +5,20 @@ import hashlib
 import json
 import math
 import re
+import shutil
+import socket
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
-from sightline.evaluation.metrics import ScoredPairs, pair_positions
-from sightline.evaluation.report import TracksUsed, evaluate_tracks, summarise
+from sightline.evaluation.metrics import Coverage, ScoredPairs, pair_positions
+from sightline.evaluation.report import Report, TracksUsed, evaluate_tracks, summarise
 from sightline.geodesy import LocalPlane
 from sightline.reporting.page import (
     ModelRow,
@@ -307,6 +311,57 @@ def test_what_the_pointer_shows_is_in_the_page() -> None:
     assert [one["name"] for one in series] == ["track 1, boat", "track 2, boat", "single box"]
 
 
+def test_only_the_logged_targets_track_has_an_error() -> None:
+    """How far another vessel's track is from the log says nothing of the track."""
+    page = Page(render_page(full_page()))
+    mine, other = (one for one in page.map_data["series"] if one["track"])
+    np.testing.assert_allclose(mine["error"], 3.0, atol=0.01)
+    assert all(value is None for value in other["error"])
+    cells = table_cells(render_page(full_page()), "Tracks")
+    assert [row[-1] for row in cells[1:]] == ["3.00", ""]
+
+
+def test_tracks_without_a_log_have_no_column_of_errors() -> None:
+    unlogged = full_page(fixes={}, reports={}, positions={})
+    header, *_ = table_cells(render_page(unlogged), "Tracks")
+    assert "error, m" not in header
+    assert "error, m" in table_cells(render_page(full_page()), "Tracks")[0]
+    assert "distance from the log" not in Page(render_page(unlogged)).words
+
+
+def table_cells(text: str, label: str) -> list[list[str]]:
+    """The cells of the table in the region of a label, row by row."""
+    region = text[text.index(f'aria-label="{label}') :]
+    rows = re.findall(r"<tr>(.*?)</tr>", region[: region.index("</table>")])
+    return [re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row) for row in rows]
+
+
+def test_what_the_model_learned_from_is_never_the_headline() -> None:
+    names = {"single boxes, learned from": "single boxes", "left out": "smoothed tracks"}
+    reports = {new: full_page().reports[old] for new, old in names.items()}
+    learned = frozenset({"single boxes, learned from"})
+    page = Page(render_page(full_page(reports=reports, learned_from=learned)))
+    assert "left out, against the log:" in page.words
+    # The truth of the smoothed track is 3 m; that of the boxes 4 m.
+    (median,) = re.findall(r"median error ?([0-9.]+) m", page.words)
+    assert float(median) == pytest.approx(3.0, abs=0.01)
+    alone = {name: reports[name] for name in learned}
+    page = Page(render_page(full_page(reports=alone, learned_from=learned)))
+    assert "median error" not in page.words
+    assert "no figure of this page says how well it does elsewhere" in page.words
+
+
+def test_the_map_says_where_on_the_earth_it_is() -> None:
+    page = Page(render_page(full_page(positions={})))
+    view = [float(v) for v in page.all("svg")[0]["viewbox"].split()]
+    # A sphere will do for four digits at a few hundred metres.
+    south = PLANE.latitude_deg - np.degrees((view[1] + view[3]) / 6_367_000.0)
+    (said,) = re.findall(r"First view: ([0-9.]+)° N", page.words)
+    assert float(said) == pytest.approx(south, abs=2e-4)
+    (whole,) = [a["d"] for a in page.all("path") if a.get("class") == "log whole"]
+    assert len(coordinates(whole)) == len(log())
+
+
 def test_long_tracks_are_thinned_to_a_page_that_opens() -> None:
     tracks = {"07": [track(k, n=20_000) for k in range(5)]}
     page = Page(render_page(full_page(tracks=tracks)))
@@ -389,12 +444,12 @@ def errors(along_m, *, covariance=4.0, asked=None, without=0) -> ScoredPairs:
         (errors(np.tile([-3.0, 3.0], 20)), "Errors are 3.00 m along the line of sight and 0.00"),
         (
             errors(np.full(30, 9.0)),
-            "hold 0.0 % of the log's positions: the error bars are too small",
+            "hold 0.0 % of the log's positions: they are too small",
         ),
-        (errors(np.full(30, 1.0)), "100 % of the log's positions: the error bars are larger"),
+        (errors(np.full(30, 1.0)), "100 % of the log's positions: they are larger"),
         (
             errors(np.r_[np.full(95, 1.0), np.full(5, 9.0)]),
-            "hold 95 % of the log's positions: the error bars can be believed",
+            "hold 95 % of the log's positions: they can be believed",
         ),
         (errors(np.full(5, 1.0)), "5 positions are too few to judge"),
         (errors(np.full(30, 1.0), covariance=np.nan), "state no uncertainty"),
@@ -408,6 +463,36 @@ def errors(along_m, *, covariance=4.0, asked=None, without=0) -> ScoredPairs:
 def test_the_report_speaks_plainly(pairs: ScoredPairs, sentence: str) -> None:
     said = plain_statements(summarise(pairs))
     assert any(sentence in one for one in said), said
+
+
+@pytest.mark.parametrize(
+    ("p95", "with_log", "sentence"),
+    [
+        (0.70, 0.85, "hold 85 % of its positions: they are too small. Do not rely on them."),
+        (0.78, 0.95, "hold 95 % of its positions: they can be believed."),
+        (0.78, 1.0, "and 78 % if it had none: they are not too small, and the log is too inexact"),
+        (0.99, 1.0, "hold 100 % of its positions: they are larger than they need to be."),
+    ],
+)
+def test_the_ellipses_are_judged_once_with_the_logs_error_counted(
+    p95: float, with_log: float, sentence: str
+) -> None:
+    report = summarise(errors(np.full(30, 1.0)))
+    coverage = replace(report.coverage, reference_sigma_m=1.7, p95=p95, p95_with_log=with_log)
+    (said,) = [
+        one for one in plain_statements(replace(report, coverage=coverage)) if "ellipses" in one
+    ]
+    assert said.startswith("With the log's own error of 1.70 m counted,")
+    assert sentence in said
+    # The tile and the table say the same share as the sentence.
+    page = Page(render_page(full_page(reports={"a": replace(report, coverage=coverage)})))
+    assert f"{100 * with_log:.0f} %" in page.words.split("in the 95 % ellipse")[1][:20]
+    rows = table_cells(render_page(full_page(reports={"a": report_of(coverage)})), "Errors of a")
+    assert rows[1][-1] == f"{100 * with_log:.0f} %"
+
+
+def report_of(coverage: Coverage) -> Report:
+    return replace(summarise(errors(np.full(30, 1.0))), coverage=coverage)
 
 
 @pytest.mark.parametrize(
@@ -430,3 +515,106 @@ def test_the_report_says_which_track_it_scored(tracks: TracksUsed, sentence: str
 def test_times_are_printed_in_utc() -> None:
     assert clock_time(START) == "2020-09-30 19:36:24 UTC"
     assert clock_time(float("nan")) == "–"
+
+
+def hostile_page(name: str) -> ReportPage:
+    """A page on which every name is the same one."""
+    return full_page(
+        name,
+        title=name,
+        scene_name=name,
+        model_name=name,
+        reports={name: summarise({name: boxes()}), f"{name}, too": summarise({name: boxes()})},
+        tracks={name: [track(label=name)], f"{name}2": [track(3, label=name)]},
+        model=[ModelRow(name, 1.0, name, 1.0)],
+        sources=[SourceRow(name, 1, 0.0, 0.0)],
+        outliers=[OutlierRow(name, None, float("nan"), name, 1.0)],
+        statements=[name],
+        warnings=[name],
+        figures=[PageFigure(name, calibration({name: boxes()}), name, name)],
+        comparison=Comparison(
+            {name: summarise({name: boxes()})}, {name: summarise({name: boxes()})}
+        ),
+    )
+
+
+NAMES = {
+    "script": HOSTILE,
+    "attribute": '"\' onload=\'alert(1)\' onerror="alert(1)" autofocus onfocus=alert(1) x="',
+    "comment": "<!--",
+    "comment in script": "<!--<script>",
+    "character data": "<![CDATA[ ]]> ]]>",
+    "style": "</style></title><style>body{background:url(http://127.0.0.1/)}</style>",
+    "entity": "&lt;img src=x onerror=alert(1)&gt;&#60;b&#62;",
+    "template": "{{ 7 * 7 }}{% for a in b %}${7*7}",
+    "svg": "<svg/onload=alert(1)><math><mtext></mtext></math>",
+    "address": "javascript:alert(1)",
+    "line separator": "a\u2028b\u2029c",
+    "control": "a\x1b[31mb\0c\x08",
+    "surrogate": "a\ud800b",
+    "long": "x" * 3000,
+}
+
+
+def outline(page: Page) -> list[tuple[str, list[str]]]:
+    return [(tag, sorted(attributes)) for tag, attributes in page.tags]
+
+
+@pytest.mark.parametrize("name", NAMES.values(), ids=NAMES)
+def test_no_name_makes_an_element_or_an_attribute(name: str, tmp_path: Path) -> None:
+    write_page(hostile_page(name), tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text(encoding="utf-8")
+    found, harmless = Page(text), Page(render_page(hostile_page("boat")))
+    assert outline(found) == outline(harmless)
+    assert found.unbalanced == []
+    assert len(found.inside["script"]) == 2
+    assert found.inside["script"][1] == harmless.inside["script"][1]
+    shown = re.sub(r"\s+", " ", re.sub("[\0-\x08\x0b\x0e-\x1f\ud800]", "\ufffd", name))
+    assert found.words.count(shown) >= 20
+    assert found.map_data["series"][0]["name"] == f"track 1, {name}"
+
+
+def chromium() -> str:
+    """A browser; the test is skipped where there is none."""
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome", "chromium-headless-shell")
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip(f"no browser: none of {', '.join(names)} is on the path")
+    return found
+
+
+@pytest.mark.slow
+def test_a_browser_finds_no_markup_in_names_and_fetches_nothing(tmp_path: Path) -> None:
+    """One page with all names at once: what Chromium makes of it has the elements of ours alone."""
+    browser = chromium()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.0)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/"
+        names = " ".join(NAMES.values()).replace("http://x.example/", address)
+        names = names.replace("http://127.0.0.1/", address)
+        # The script would write what it ran into the page, and an image ask the server.
+        names = names.replace("alert(1)", "document.title='owned'")
+
+        def seen(name: str) -> Page:
+            path = tmp_path / "page.html"
+            write_page(hostile_page(name), path)
+            done = subprocess.run(
+                [
+                    *(browser, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"),
+                    *(f"--user-data-dir={tmp_path / 'profile'}", path.as_uri()),
+                ],
+                capture_output=True,
+                timeout=120,
+                check=False,
+            )
+            if not done.stdout:
+                pytest.skip(f"{browser} does not start here")
+            return Page(done.stdout.decode("utf-8", "replace"))
+
+        hostile, harmless = seen(names), seen("boat")
+        with pytest.raises(BlockingIOError):
+            server.accept()
+    assert [tag for tag, _ in hostile.tags] == [tag for tag, _ in harmless.tags]
+    assert outline(hostile) == outline(harmless)
+    assert hostile.inside["script"][1] == harmless.inside["script"][1]
+    assert hostile.words.count("document.title='owned'") >= 20

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import base64
+from pathlib import Path
+from xml.etree import ElementTree
 
 import cv2
 import matplotlib
@@ -195,3 +197,47 @@ def test_plots_leave_the_settings_and_figures_of_the_caller_alone() -> None:
     map_figure([MapPanel("camera", pairs_along_a_line())])
     assert pyplot.get_fignums() == before
     assert dict(matplotlib.rcParams) == settings
+
+
+HOSTILE = (
+    "berth$^$07",
+    "$\\frac{1}$ $",
+    r"\input{/etc/hostname} $\write18{x}$",
+    "<script>]]>&amp;--></svg>",
+    "\x1b[31m\0\x07",
+    "a\ud800b\uffff",
+    "two\nlines\r\nand\ttabs",
+    "x" * 5000,
+    "",
+)
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_name_is_text_in_every_figure(name: str, tmp_path: Path) -> None:
+    """Between dollar signs Matplotlib reads formulas, and TeX reads what it is told to."""
+    pairs = pairs_along_a_line()
+    figures = [
+        map_figure([MapPanel(name, pairs)]),
+        error_against_range({name: pairs}),
+        calibration({name: pairs}),
+        error_over_time({name: pairs}),
+    ]
+    for i, figure in enumerate(figures):
+        path = tmp_path / f"{i}.svg"
+        save_figure(figure, path)
+        ElementTree.parse(path)
+        assert picture_of(figure).shape[2] == 3
+
+
+def test_a_name_with_dollars_is_shown_with_them() -> None:
+    figure = map_figure([MapPanel("a$b$c", pairs_along_a_line())])
+    title = figure.axes[0]._left_title  # type: ignore[attr-defined]
+    assert (title.get_text(), title.get_parse_math(), title.get_usetex()) == ("a$b$c", False, False)
+    for figure in (
+        calibration({"$x$": pairs_along_a_line()}),
+        error_against_range({"$x$": pairs_along_a_line()}),
+    ):
+        legend = figure.axes[0].get_legend()
+        assert legend is not None
+        assert ["$x$" in text.get_text() for text in legend.get_texts()] == [True]
+        assert not any(text.get_parse_math() for text in legend.get_texts())

@@ -26,7 +26,9 @@ def write_scene(folder: Path, text: str) -> Path:
     (folder / "timed.csv").write_text("time_utc,x1,y1,x2,y2\n100.5,1,2,5,6\n")
     (folder / "mixed.csv").write_text("frame,time_utc,x1,y1,x2,y2\n0,,1,2,5,6\n1,100.5,1,2,5,6\n")
     (folder / "clock.csv").write_text("frame,utc\n0,10.25\n1,11.5\n2,12.75\n")
-    (folder / "fixes.csv").write_text("time_utc,latitude_deg,longitude_deg\n10,32.7,-117.2\n")
+    (folder / "fixes.csv").write_text(
+        "time_utc,latitude_deg,longitude_deg\n1000000010,32.7,-117.2\n"
+    )
     (folder / "points.csv").write_text("x_px,y_px,latitude_deg,longitude_deg\n1,2,32.7,-117.2\n")
     (folder / "frames").mkdir(exist_ok=True)
     cv2.imwrite(str(folder / "frames" / "2.png"), np.zeros((8, 12, 3), np.uint8))
@@ -176,9 +178,11 @@ def test_some_recordings_of_a_scene(tmp_path: Path) -> None:
 
 def test_a_changed_log_is_read_again(tmp_path: Path) -> None:
     recording = load(tmp_path, 'boxes = "timed.csv"\nfixes = "fixes.csv"')["a"]
-    assert recording.fixes().time_utc_s.tolist() == [10.0]
-    (tmp_path / "fixes.csv").write_text("time_utc,latitude_deg,longitude_deg\n11,32.7,-117.2\n")
-    assert recording.fixes().time_utc_s.tolist() == [11.0]
+    assert recording.fixes().time_utc_s.tolist() == [1e9 + 10.0]
+    (tmp_path / "fixes.csv").write_text(
+        "time_utc,latitude_deg,longitude_deg\n1000000011,32.7,-117.2\n"
+    )
+    assert recording.fixes().time_utc_s.tolist() == [1e9 + 11.0]
 
 
 A = '[[recordings]]\nname = "a"\n'

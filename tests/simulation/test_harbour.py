@@ -2,16 +2,18 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.simulation.harbour import EXACT, BoxNoise, Harbour, ReceiverNoise
+from sightline.simulation.harbour import EXACT, BoxNoise, Harbour, HarbourSettings, ReceiverNoise
 
 
 @pytest.fixture(scope="module")
 def harbour() -> Harbour:
-    return Harbour.random(3, duration_s=600.0)
+    return Harbour.random(3, HarbourSettings(duration_s=600.0))
 
 
 def test_a_seed_gives_the_same_world_and_another_seed_another() -> None:
-    one, same, other = (Harbour.random(seed, duration_s=30.0) for seed in (5, 5, 6))
+    one, same, other = (
+        Harbour.random(seed, HarbourSettings(duration_s=30.0)) for seed in (5, 5, 6)
+    )
     times = one.times(5.0)
     noise = BoxNoise(std_px=1.0, correlation_time_s=0.5, miss_probability=0.1)
     first, second = (
@@ -119,7 +121,9 @@ def test_an_exact_log_is_the_truth(harbour: Harbour) -> None:
 
 
 def test_receiver_noise_has_the_stated_spread_intervals_gaps_and_offset() -> None:
-    harbour = Harbour.random(4, duration_s=3000.0, motorboats=0, sailboats=0, ferries=0, anchored=0)
+    harbour = Harbour.random(
+        4, HarbourSettings(duration_s=3000.0, motorboats=0, sailboats=0, ferries=0, anchored=0)
+    )
     noise = ReceiverNoise(std_m=1.5, correlation_time_s=5.0, clock_offset_s=2.0)
     fixes = harbour.fixes(noise)
     truth = harbour.truth(fixes.time_utc_s - 2.0)
@@ -141,7 +145,7 @@ def test_receiver_noise_has_the_stated_spread_intervals_gaps_and_offset() -> Non
 
 @pytest.mark.slow
 def test_a_post_hides_what_passes_behind_it() -> None:
-    harbour = Harbour.random(0, duration_s=600.0)
+    harbour = Harbour.random(0, HarbourSettings(duration_s=600.0))
     times = harbour.times(10.0)
     post = harbour.piles[1]
     without = Harbour(
@@ -168,7 +172,7 @@ def test_wrong_arguments_are_refused(harbour: Harbour) -> None:
     with pytest.raises(InputError, match="target, all, moving"):
         harbour.boxes(harbour.times(1.0), of="some")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="not positive"):
-        Harbour.random(duration_s=0.0)
+        Harbour.random(settings=HarbourSettings(duration_s=0.0))
 
 
 def test_no_times_give_no_boxes(harbour: Harbour) -> None:

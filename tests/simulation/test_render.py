@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from sightline.simulation import Harbour, Look, Renderer, SimulatedCamera
+from sightline.simulation import Harbour, HarbourSettings, Look, Renderer, SimulatedCamera
 
 SIZE = (640, 360)
 PLAIN = Look(wakes=False, reflections=False, sensor_noise=False)
@@ -10,7 +10,7 @@ CAMERA = SimulatedCamera(4.5, 1.0, 1.2, 70.0, 470.0, k1=-0.2, k2=0.03, image_siz
 
 @pytest.fixture(scope="module")
 def harbour() -> Harbour:
-    return Harbour.random(8, duration_s=60.0, camera=CAMERA, gulls=0, piles=False)
+    return Harbour.random(8, HarbourSettings(duration_s=60.0, camera=CAMERA, gulls=0, piles=False))
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_the_same_time_gives_the_same_picture_and_water_moves(harbour: Harbour) 
 
 
 def test_a_post_stands_before_everything(harbour: Harbour) -> None:
-    posted = Harbour.random(8, duration_s=60.0, camera=CAMERA, gulls=0)
+    posted = Harbour.random(8, HarbourSettings(duration_s=60.0, camera=CAMERA, gulls=0))
     post = posted.piles[1]
     pixels = posted.camera.project([post.east_m, post.north_m, 0.5 * post.top_m])
     x, y = pixels.astype(int)

@@ -7,7 +7,7 @@ import pytest
 from sightline import formats
 from sightline.errors import InputError
 from sightline.scene import Scene
-from sightline.simulation import EXACT, BoxNoise, Simulation, simulate
+from sightline.simulation import EXACT, BoxNoise, Simulation, SimulationSettings, simulate
 from sightline.video import frames, video_info
 
 SETTINGS = {"recordings": 2, "duration_s": 5.0, "pause_s": 3.0, "image_size_px": (320, 180)}
@@ -16,7 +16,7 @@ SETTINGS = {"recordings": 2, "duration_s": 5.0, "pause_s": 3.0, "image_size_px":
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
     folder = tmp_path_factory.mktemp("harbour")
-    return simulate(folder, seed=3, **SETTINGS)  # type: ignore[arg-type]
+    return simulate(folder, SimulationSettings(seed=3, **SETTINGS))  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_the_scene_loads_with_all_it_names(simulation: Simulation) -> None:
 
 
 def test_an_exact_clock_tells_every_frame(tmp_path: Path) -> None:
-    made = simulate(tmp_path, seed=3, clock="exact", video=False, **SETTINGS)  # type: ignore[arg-type]
+    made = simulate(tmp_path, SimulationSettings(seed=3, clock="exact", video=False, **SETTINGS))  # type: ignore[arg-type]
     for recording, shot in zip(Scene.load(made.scene).recordings, made.recordings, strict=True):
         indices = np.arange(shot.time_utc_s.size)
         times = recording.clock().time_utc_s(indices)
@@ -70,7 +70,10 @@ def test_an_exact_clock_tells_every_frame(tmp_path: Path) -> None:
 def test_a_stepped_clock_was_read_before_the_frame_and_cut_off_to_the_second(
     tmp_path: Path,
 ) -> None:
-    made = simulate(tmp_path, seed=3, clock="stepped", video=False, recordings=1, duration_s=60.0)
+    made = simulate(
+        tmp_path,
+        SimulationSettings(seed=3, clock="stepped", video=False, recordings=1, duration_s=60.0),
+    )
     lines = (tmp_path / "clock" / "01.csv").read_text().splitlines()[1:]
     stamps = [line.split(",")[1] for line in lines]
     true = made.recordings[0].time_utc_s
@@ -87,7 +90,10 @@ def test_a_stepped_clock_was_read_before_the_frame_and_cut_off_to_the_second(
 
 
 def test_logs_are_what_their_receivers_would_have_written(tmp_path: Path) -> None:
-    made = simulate(tmp_path, seed=4, recordings=1, duration_s=120.0, video=False, receiver=EXACT)
+    made = simulate(
+        tmp_path,
+        SimulationSettings(seed=4, recordings=1, duration_s=120.0, video=False, receiver=EXACT),
+    )
     gpx = formats.read_fixes(tmp_path / "target.gpx")
     truth = made.harbour.truth(gpx.time_utc_s)
     east, north = made.harbour.plane.to_plane(gpx.latitude_deg, gpx.longitude_deg)
@@ -106,7 +112,9 @@ def test_logs_are_what_their_receivers_would_have_written(tmp_path: Path) -> Non
 def test_a_seed_gives_the_same_files(tmp_path: Path) -> None:
     noise = BoxNoise(std_px=2.0)
     for name in ("one", "two"):
-        simulate(tmp_path / name, seed=9, video=False, annotator=noise, **SETTINGS)  # type: ignore[arg-type]
+        simulate(
+            tmp_path / name, SimulationSettings(seed=9, video=False, annotator=noise, **SETTINGS)
+        )  # type: ignore[arg-type]
     first = sorted(p for p in (tmp_path / "one").rglob("*") if p.is_file())
     assert len(first) > 8
     for path in first:
@@ -117,12 +125,9 @@ def test_a_seed_gives_the_same_files(tmp_path: Path) -> None:
 def test_unlabelled_recordings_have_a_video_and_a_log_alone(tmp_path: Path) -> None:
     made = simulate(
         tmp_path,
-        seed=2,
-        recordings=2,
-        duration_s=1.0,
-        pause_s=1.0,
-        image_size_px=(128, 72),
-        unlabelled=1,
+        SimulationSettings(
+            seed=2, recordings=2, duration_s=1.0, pause_s=1.0, image_size_px=(128, 72), unlabelled=1
+        ),
     )
     labelled, bare = Scene.load(made.scene).recordings
     assert labelled.boxes_path is not None
@@ -148,5 +153,5 @@ def test_wrong_settings_are_refused_and_nothing_is_written(
     tmp_path: Path, settings: dict[str, object], message: str
 ) -> None:
     with pytest.raises(InputError, match=message):
-        simulate(tmp_path / "out", **settings)  # type: ignore[arg-type]
+        simulate(tmp_path / "out", SimulationSettings(**settings))  # type: ignore[arg-type]
     assert not (tmp_path / "out").exists()

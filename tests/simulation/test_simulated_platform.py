@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sightline.simulation import Harbour, SimulatedCamera
+from sightline.simulation import Harbour, HarbourSettings, SimulatedCamera
 from sightline.simulation.platform import SimulatedPlatform, Sway, Warp
 
 
@@ -29,7 +29,7 @@ def test_a_hull_heaves_as_the_wave_whose_slope_it_follows() -> None:
 
 
 def test_a_boat_is_seen_from_where_the_wave_has_lifted_the_camera() -> None:
-    harbour = Harbour.random(4, duration_s=60.0, moving=True)
+    harbour = Harbour.random(4, HarbourSettings(duration_s=60.0, moving=True))
     assert harbour.platform is not None
     for time_s in (7.3, 21.0, 44.4):
         heave = float(harbour.platform.heave_m([time_s])[0])

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sightline.errors import InputError
-from sightline.simulation import BoxNoise, Harbour
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings
 from sightline.tracking import ImageTracker, ImageTrackerSettings
 from sightline.types import NO_TRACK, Boxes
 
@@ -121,7 +121,7 @@ def test_what_comes_out_went_in_and_no_id_is_given_twice_at_once(seed: int) -> N
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_boats_of_a_harbour_are_told_apart(seed: int) -> None:
-    harbour = Harbour.random(seed, duration_s=60.0)
+    harbour = Harbour.random(seed, HarbourSettings(duration_s=60.0))
     noise = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.08)
     times = harbour.times(10.0)
     boxes = harbour.boxes(times, noise=noise, of="all")

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import least_squares, minimize
 
 from sightline.camera.correlated_noise import Whitening, blocks_of, thinned
@@ -234,7 +234,11 @@ def fit_camera(
             break
         start = best.vector
         if noise is None:
-            estimated = problem.estimate_noise(best, estimated)
+            try:
+                estimated = problem.estimate_noise(best, estimated)
+            except LinAlgError:
+                # The noise of the round before stands.
+                break
     best = problem.refine(start, estimated)
     if best is None:
         raise FitError(_BEHIND)
@@ -307,7 +311,10 @@ class _Problem:
         self.held = np.isfinite(self.sigma)
         self.size = self.layout.size
         self.timed = np.isfinite(sightings.time_s)
-        self.blocks = blocks_of(sightings.time_s, sightings.log)
+        self.boxes = sightings.source != NO_SOURCE
+        # What gaps of the logs make of the places of boxes is known, and none of the noise.
+        self.gap_sigma_m = np.where(self.boxes, sightings.sigma_m, 0.0)
+        self.blocks = blocks_of(sightings.time_s, sightings.log, self.gap_sigma_m, sightings.gap_s)
         # Without times heave is as any other noise of the rows.
         self.heaving = heaving and bool(self.blocks)
         speed = np.hypot(*sightings.velocity_mps.T)
@@ -315,7 +322,6 @@ class _Problem:
         self.bow = np.where(
             steered[:, None], sightings.velocity_mps / np.maximum(speed, 1e-9)[:, None], 0.0
         )
-        self.boxes = sightings.source != NO_SOURCE
         self.centre = np.array([np.mean(sightings.east_m), np.mean(sightings.north_m)])
         self.spread = float(
             np.hypot(
@@ -461,9 +467,13 @@ class _Problem:
         return np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
 
     def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
-        """(N, 2) standard deviations of column and row, pixels, without correlated noise."""
+        """(N, 2) standard deviations of column and row, pixels, without correlated noise.
+
+        What gaps of the logs make counts, as of each box alone.
+        """
         by_place = self.project(vector, self.aspect(vector))[2][:, :, :2]
-        place = (self.place_sigma(noise) ** 2)[:, None] * np.sum(by_place**2, axis=2)
+        place_m2 = self.place_sigma(noise) ** 2 + self.gap_sigma_m**2
+        place = place_m2[:, None] * np.sum(by_place**2, axis=2)
         return np.asarray(np.sqrt(self.pixel_variance(vector, noise) + place))
 
     def beliefs(self, size: int) -> tuple[FloatArray, FloatArray]:
@@ -484,7 +494,7 @@ class _Problem:
         in variables). Outlying boxes are down-weighted (Huber).
 
         Returns:
-            None where it ends behind the targets.
+            None where it ends behind the targets, or nowhere.
         """
         vector, aspect = start.copy(), self.aspect(start)
         mean, beliefs = self.beliefs(vector.size)
@@ -516,7 +526,10 @@ class _Problem:
             flat = both.reshape(-1, vector.size + 1)
             normal = flat[:, :-1].T @ flat[:, :-1] + precision
             slope = flat[:, :-1].T @ flat[:, -1] - precision @ (vector - mean)
-            factor = cho_factor(normal, lower=True, check_finite=False)
+            try:
+                factor = cho_factor(normal, lower=True, check_finite=False)
+            except LinAlgError:
+                return None
             step = cho_solve(factor, slope, check_finite=False)
             covariance = cho_solve(factor, np.eye(vector.size), check_finite=False)
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
@@ -620,7 +633,8 @@ class _Problem:
         mean, beliefs = self.beliefs(size)
         precision, off = beliefs.T @ beliefs, found.vector - mean
         per_metre = np.sum(by_place**2, axis=2)
-        known = (self.sightings.sigma_m**2)[:, None] * per_metre
+        own_m = np.where(self.boxes, 0.0, self.sightings.sigma_m)
+        known = (own_m**2)[:, None] * per_metre
         # Variances are these times the squares of the first four of `PixelNoise`.
         parts = np.zeros((4, n, 2))
         parts[0, :, 1] = 1.0

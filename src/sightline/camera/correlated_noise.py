@@ -32,6 +32,10 @@ MOST_IN_BLOCK = 256
 # function of Δt² (Schoenberg).
 _SMOOTH_S = 1.0
 
+# Of a gap: so long a vessel strays to one side. What pinned places and speeds at the ends leave of
+# white acceleration is half alike at half a gap.
+_STRAYS_SHARE = 0.42
+
 HEAVE_CORRELATION_TIME_S = 0.7
 """Correlation time of heave: by this a wave of five seconds is half gone after a fourth of it."""
 
@@ -43,10 +47,13 @@ class Block:
     Attributes:
         rows: (n,) int64, which correspondences.
         apart_s: (n, n) float64, seconds between any two of them, less where these are few.
+        gap_m2: (n, n) float64, square metres, covariance of the places along either axis that gaps
+            of the log make, which is known; None where there are none.
     """
 
     rows: IntArray
     apart_s: FloatArray
+    gap_m2: FloatArray | None = None
 
 
 def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
@@ -63,15 +70,52 @@ def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
     return np.sort(np.concatenate(kept))
 
 
-def blocks_of(time_s: FloatArray, log: IntArray) -> list[Block]:
-    """Blocks of correlated errors: logs of a recording, long ones in parts; none without times."""
+def blocks_of(
+    time_s: FloatArray,
+    log: IntArray,
+    sigma_m: FloatArray | None = None,
+    gap_s: FloatArray | None = None,
+) -> list[Block]:
+    """Blocks of correlated errors: logs of a recording, long ones in parts; none without times.
+
+    Args:
+        time_s: (N,) seconds, NaN where not known.
+        log: (N,) which log tells the place.
+        sigma_m: (N,) standard deviations of the places by the gaps of the log. Absent: none.
+        gap_s: (N, 2) the times at which each gap begins and ends.
+    """
     out = []
     for one in np.unique(log[np.isfinite(time_s)]):
         rows = np.flatnonzero((log == one) & np.isfinite(time_s))
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         count = -(-rows.size // MOST_IN_BLOCK)
-        out += [Block(part, _apart(time_s[part])) for part in np.array_split(rows, count)]
+        for part in np.array_split(rows, count):
+            known = None
+            if sigma_m is not None and gap_s is not None and sigma_m[part].any():
+                known = gap_covariance(time_s[part], sigma_m[part], gap_s[part])
+            out.append(Block(part, _apart(time_s[part]), known))
     return out
+
+
+def gap_covariance(time_s: FloatArray, sigma_m: FloatArray, gap_s: FloatArray) -> FloatArray:
+    """(N, N) square metres, covariance of places along either axis that gaps of a log make.
+
+    Within a gap a vessel strays from the expected path for a share of it: as alike as a Gaussian
+    of that length says. Different gaps count as independent.
+
+    Args:
+        time_s: (N,) seconds.
+        sigma_m: (N,) standard deviations.
+        gap_s: (N, 2) the times at which each gap begins and ends; NaN where not known.
+    """
+    begin, end = gap_s.T
+    length_s = _STRAYS_SHARE * np.maximum(end - begin, 1e-3)
+    alike = begin[:, None] == begin[None, :]
+    with np.errstate(invalid="ignore"):
+        apart = (time_s[:, None] - time_s[None, :]) / length_s
+        kernel = np.where(alike, np.exp(-0.5 * apart**2), 0.0)
+    np.fill_diagonal(kernel, 1.0)
+    return np.asarray(kernel * np.outer(sigma_m, sigma_m))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +159,11 @@ def _apart(time_s: FloatArray) -> FloatArray:
     return np.asarray(np.hypot(time_s[:, None] - time_s[None, :], _SMOOTH_S) - _SMOOTH_S)
 
 
+def _whole(block: Block, kernel: FloatArray) -> FloatArray:
+    """(n, n) covariance of the places: the log's estimated error, and what its gaps make."""
+    return kernel if block.gap_m2 is None else kernel + block.gap_m2
+
+
 class Whitening:
     """Whitens the residuals of point correspondences: independent, of unit variance.
 
@@ -149,7 +198,7 @@ class Whitening:
         ]
         self.factors = []
         for block, kernel in zip(blocks, self.kernels, strict=True):
-            covariance = np.kron(kernel, np.ones((2, 2))) * self.turned(block)
+            covariance = np.kron(_whole(block, kernel), np.ones((2, 2))) * self.turned(block)
             if self._by_height is not None:
                 covariance += np.kron(self._heave_kernel(block), np.ones((2, 2))) * self._lifted(
                     block
@@ -202,7 +251,7 @@ class Whitening:
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
         out = np.zeros_like(pulled)
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
-            out[block.rows] = kernel @ pulled[block.rows]
+            out[block.rows] = _whole(block, kernel) @ pulled[block.rows]
         return np.asarray(out)
 
     def log_determinant(self) -> float:

@@ -53,8 +53,8 @@ class PointCorrespondences:
         group: (N,) int64, index of the recording; errors within one are alike.
         velocity_mps: (N, 2) float64, east and north, of the target; zero where it stands still or
             is not known.
-        sigma_m: (N,) float64, standard deviation of the place: of a control point from a map. Zero
-            for boxes, whose noise is estimated.
+        sigma_m: (N,) float64, standard deviation of the place: of a control point from a map, of a
+            box by the gap of its log, which comes on top of the noise that is estimated.
         time_s: (N,) float64, seconds, from which it is told which errors of the log are alike; NaN
             where there is no log, or no time is known. Absent: nowhere.
         width_px: (N,) float64, of the boxes; NaN where there is none. Absent: nowhere.
@@ -62,6 +62,8 @@ class PointCorrespondences:
             height is over. Absent: at it.
         log: (N,) int64, index of the log that tells the place, one for each vessel of a recording:
             its correlated error is its own. Absent: one for each recording.
+        gap_s: (N, 2) float64, times of the fixes on either side: what ``sigma_m`` says of boxes is
+            alike within a gap. NaN where not known. Absent: nowhere.
     """
 
     pixel_px: FloatArray
@@ -75,12 +77,15 @@ class PointCorrespondences:
     width_px: FloatArray = field(default_factory=lambda: np.empty(0))
     above_m: FloatArray = field(default_factory=lambda: np.empty(0))
     log: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    gap_s: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
 
     def __post_init__(self) -> None:
         if self.above_m.size == 0:
             object.__setattr__(self, "above_m", np.zeros(self.east_m.size))
         if self.log.size == 0:
             object.__setattr__(self, "log", self.group)
+        if self.gap_s.size == 0:
+            object.__setattr__(self, "gap_s", np.full((self.east_m.size, 2), np.nan))
         for name in ("time_s", "width_px"):
             if getattr(self, name).size == 0:
                 object.__setattr__(self, name, np.full(self.east_m.size, np.nan))

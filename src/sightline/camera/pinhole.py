@@ -172,7 +172,7 @@ class Camera:
         x, y = self._undistorted(pixel[:, 0], pixel[:, 1])
         rotation = self.rotation
         down = -(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2])
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             reach = np.where(down > 0.0, (self.height_m - np.asarray(above_m)) / down, np.nan)
         east = reach * (rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0])
         north = reach * (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1])
@@ -220,6 +220,9 @@ class Camera:
             radius = np.minimum(np.maximum(radius - step, 0.0), limit)
             if np.abs(step).max(initial=0.0) < _NEWTON_ENOUGH:
                 break
+        else:
+            slow = (np.abs(step) >= _NEWTON_ENOUGH) & (distorted < top)
+            radius[slow] = [self._bisected(one) for one in distorted[slow].tolist()]
         with np.errstate(invalid="ignore", divide="ignore"):
             scale = np.where(distorted > 0.0, radius / distorted, 1.0)
         scale[~(distorted < top)] = np.nan
@@ -241,10 +244,31 @@ class Camera:
             radius = min(max(radius - step, 0.0), limit)
             if abs(step) < _NEWTON_ENOUGH:
                 break
+        else:
+            if distorted < top:
+                radius = self._bisected(distorted)
         scale = radius / distorted if distorted > 0.0 else 1.0
         if not distorted < top:
             scale = math.nan
         return x * scale, y * scale
+
+    def _bisected(self, distorted: float) -> float:
+        """The undistorted radius of a distorted one that lies before the fold.
+
+        Where the lens model is nearly flat, next to its fold or an inflection, Newton's steps
+        overshoot.
+        """
+
+        def falls_short(radius: float) -> bool:
+            square = radius * radius
+            return radius * (1.0 + square * (self.k1 + square * self.k2)) < distorted
+
+        low, high = 0.0, min(max(distorted, _NEAREST), self.largest_radius)
+        while high < self.largest_radius and falls_short(high):
+            high = min(2.0 * high, self.largest_radius)
+        while low < (middle := 0.5 * (low + high)) < high:
+            low, high = (middle, high) if falls_short(middle) else (low, middle)
+        return high
 
     @cached_property
     def _largest_distorted(self) -> float:

@@ -32,6 +32,9 @@ ANY_ASPECT = 2.0 / np.pi
 _NOISE_CENTRE = (1.0, 0.15, 2.0, 0.7, 1.0, 20.0, 0.15)
 
 
+HEAVE_M = _NOISE_CENTRE[-1]
+"""Median of the heave of a camera on a vessel before any data, metres."""
+
 _NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5, 1.0)
 
 

@@ -10,10 +10,10 @@ from contextlib import suppress
 from typing import Any
 
 import typer
-from rich.markup import escape
 
 from sightline import __version__, signals
 from sightline.cli import common
+from sightline.cli.check import check
 from sightline.cli.compare import compare
 from sightline.cli.demo import demo
 from sightline.cli.detect import detect
@@ -24,6 +24,7 @@ from sightline.cli.run import run
 from sightline.cli.simulate import simulate
 from sightline.cli.track import TrackCommand, track
 from sightline.errors import SightlineError, StoppedError
+from sightline.text import terminal_text
 
 # What is wrong with a command line: typer brings it along under a private name.
 _CommandError: Any = typer.BadParameter.__mro__[2]
@@ -43,7 +44,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, run, fit, compare, track, evaluate, detect, simulate):
+for command in (demo, check, run, fit, compare, track, evaluate, detect, simulate):
     app.command(cls=TrackCommand if command is track else None)(command)
 app.add_typer(detector)
 
@@ -87,7 +88,7 @@ class _Warnings(logging.Handler):
         line = record.getMessage()
         if line not in self._shown:
             self._shown.add(line)
-            _print_line("[bold yellow]warning:[/]", line)
+            common.say_aside("warning:", line, "yellow")
 
 
 def _run(arguments: list[str] | None) -> int:
@@ -103,7 +104,7 @@ def _run(arguments: list[str] | None) -> int:
         # What is broken off may raise anything: a library that was being loaded is not installed.
         if signals.broken_off():
             if settings.debug:
-                traceback.print_exc()
+                sys.stderr.write(terminal_text(traceback.format_exc()))
             return _stopped()
         return _status_of(error, settings)
     finally:
@@ -123,7 +124,7 @@ def _status_of(error: BaseException, settings: common.Settings) -> int:
         return _stopped()
     if isinstance(error, SightlineError):
         if settings.debug:
-            traceback.print_exception(error)
+            sys.stderr.write(terminal_text("".join(traceback.format_exception(error))))
         return _refuse(str(error))
     if isinstance(error, _CommandError):
         # There is no message where the help was printed, since no command was given.
@@ -157,10 +158,5 @@ def _flush() -> None:
 
 def _refuse(message: str) -> int:
     if message:
-        _print_line("[bold red]error:[/]", message)
+        common.say_aside("error:", message, "red")
     return 2
-
-
-def _print_line(head: str, message: str) -> None:
-    line = " ".join(message.split())
-    common.stderr.print(f"{head} {escape(line)}", soft_wrap=True, highlight=False)

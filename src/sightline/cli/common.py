@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 from sightline.atomic import atomic_folder
 from sightline.errors import no_model_file, no_scene_file
+from sightline.text import terminal_text
 
 if TYPE_CHECKING:
     from sightline.evaluation.forecast import ForecastError
@@ -47,14 +49,20 @@ class Settings:
 
 
 def say(line: str = "") -> None:
-    """Print a line without wrapping it."""
-    stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+    """Print a line without wrapping it; control characters in names are shown, not sent."""
+    stdout.print(terminal_text(line), soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
-def warn(head: str, message: str) -> None:
-    """Print a line on standard error, after a word that says what it is."""
-    line = " ".join(message.split())
-    stderr.print(f"[bold yellow]{head}:[/] {escape(line)}", soft_wrap=True, highlight=False)
+def say_aside(head: str, message: str, style: str) -> None:
+    """Print a message in one line on standard error, after a word in a colour."""
+    said = terminal_text(" ".join(message.split()))
+    line = Text.assemble((head, f"bold {style}"), f" {said}")
+    stderr.print(line, soft_wrap=True, highlight=False)
+
+
+def warn(line: str) -> None:
+    """Print a warning to standard error, without wrapping it."""
+    stderr.print(f"[bold yellow]warning:[/] {escape(line)}", soft_wrap=True, highlight=False)
 
 
 @contextmanager
@@ -62,7 +70,7 @@ def progress() -> Iterator[Tell]:
     """Show progress on standard error, where that is a terminal; removed when done."""
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TimeElapsedColumn(),
     )
@@ -74,7 +82,7 @@ def progress() -> Iterator[Tell]:
             known = math.isfinite(share)
             bars.update(
                 task,
-                description=what,
+                description=terminal_text(what),
                 total=1.0 if known else None,
                 completed=share if known else 0.0,
             )

@@ -32,15 +32,13 @@ def demo(
     from sightline.pipeline.run import run as run_scene
     from sightline.reporting.run_report import write_run_files
     from sightline.scene import Scene
+    from sightline.simulation.simulate import SimulationSettings
     from sightline.simulation.simulate import simulate as simulate_harbour
 
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
             folder.work / "harbour",
-            seed=seed,
-            duration_s=duration_s,
-            rate_hz=10.0,
-            unlabelled=1,
+            SimulationSettings(seed=seed, duration_s=duration_s, rate_hz=10.0, unlabelled=1),
             progress=lambda share: tell("rendering the harbour", share),
         )
         result = run_scene(Scene.load(made.scene), seed=seed, progress=tell)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from sightline import signals
-from sightline.cli.common import check_model_is_there, progress, say, warn, write_result
+from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR
 from sightline.cli.options import (
     ClassesOption,
@@ -95,9 +95,9 @@ def detect(
                 written.add(boxes)
             written.finish()
     if stop.is_set():
-        warn("stopped", f"{source}: the boxes until then are written")
+        say_aside("stopped:", f"{source}: the boxes until then are written", "yellow")
     elif not ending.early and is_stream(source):
-        warn("note", f"{source}: has ended; the boxes until then are written")
+        say_aside("note:", f"{source}: has ended; the boxes until then are written", "yellow")
     try:
         ending.check()
     except BrokenOffError as error:

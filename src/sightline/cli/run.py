@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sightline.atomic import check_places
+from sightline.cli.check import refuse_problems
 from sightline.cli.common import (
     check_scene_is_there,
     describe,
     folder_for_results,
     progress,
     say,
+    warn,
     write_result,
 )
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_MODEL, DEFAULT_TRAJECTORY
@@ -47,6 +49,7 @@ def run(
     """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene, detector])
     check_scene_is_there(scene)
+    from sightline.pipeline.check import check_scene
     from sightline.pipeline.run import run as run_scene
     from sightline.pipeline.track import TrackSettings
     from sightline.reporting.run_report import check_earlier_run, run_file_names, write_run_files
@@ -58,6 +61,10 @@ def run(
     keep_apart([json], [*inputs, *places])
     if output.is_dir():
         check_places(places, inputs)
+    checked = check_scene(loaded, every_picture=False)
+    for line in checked.warnings:
+        warn(line)
+    refuse_problems(checked)
     with folder_for_results(output, inputs) as folder, progress() as tell:
         result = run_scene(
             loaded,

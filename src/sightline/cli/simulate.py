@@ -33,6 +33,7 @@ def simulate(
     json: JsonOption = None,
 ) -> None:
     """Write a synthetic harbour: videos, clocks, boxes, logs, the truth, and a scene."""
+    from sightline.simulation.simulate import SimulationSettings
     from sightline.simulation.simulate import simulate as simulate_harbour
 
     keep_apart([json], [])
@@ -40,13 +41,15 @@ def simulate(
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
             folder.work,
-            seed=seed,
-            recordings=recordings,
-            duration_s=duration_s,
-            rate_hz=rate_hz,
-            clock=kind,
-            video=video,
-            moving=moving,
+            SimulationSettings(
+                seed=seed,
+                recordings=recordings,
+                duration_s=duration_s,
+                rate_hz=rate_hz,
+                clock=kind,
+                video=video,
+                moving=moving,
+            ),
             progress=lambda share: tell("rendering", share),
         )
     scene = folder.place(made.scene)

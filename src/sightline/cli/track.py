@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperCommand
 
 from sightline import signals
-from sightline.cli.common import check_model_is_there, progress, say, warn, write_result
+from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
     ClockOption,
@@ -207,11 +207,11 @@ def track(
             tracks.finish()
             forecasts.finish()
     if stop.is_set():
-        warn("stopped", f"{source}: what was tracked until then is written")
+        say_aside("stopped:", f"{source}: what was tracked until then is written", "yellow")
     elif summary.broken is not None:
         attempts.failed.append(summary.broken)
     elif is_stream(source):
-        warn("note", f"{source}: has ended; what was tracked until then is written")
+        say_aside("note:", f"{source}: has ended; what was tracked until then is written", "yellow")
     result: dict[str, object] = {
         "tracks": summary.tracks,
         "points": summary.points,

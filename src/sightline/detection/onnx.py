@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection import _onnxruntime
+from sightline.detection._onnx_file import check_onnx_file
 from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.letterbox import Letterbox
@@ -33,6 +34,7 @@ DEFAULT_THRESHOLD = 0.25
 
 _MOST_CANDIDATES = 3000
 _LARGEST_PX = 16384
+_MOST_PX = 2**25
 _DUMMY_PX = 320
 _SIZES_INPUT = "orig_target_sizes"
 _TYPES = {
@@ -326,8 +328,15 @@ class _Network:
         self._where = where
         self._session = _session(where, options)
         self.provider = _provider(where, self._session, options.provider)
-        inputs = self._session.get_inputs()
-        pictures = [one for one in inputs if one.name != _SIZES_INPUT]
+        try:
+            inputs = self._session.get_inputs()
+            pictures = [one for one in inputs if one.name != _SIZES_INPUT]
+            self.output_names = tuple(one.name for one in self._session.get_outputs())
+            told = self._session.get_modelmeta().custom_metadata_map or {}
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"{where}: a name in it is not text in UTF-8 ({error.reason}); export it again"
+            ) from error
         if len(pictures) != 1 or len(pictures[0].shape) not in (3, 4):
             given = ", ".join(f"{one.name} {list(one.shape)} {one.type}" for one in inputs)
             raise InputError(
@@ -352,10 +361,7 @@ class _Network:
         )
         batch = shape[0] if self._has_batch else 1
         self.batch: int | None = batch if _whole(batch) else None
-        self.output_names = tuple(one.name for one in self._session.get_outputs())
-        self.properties: dict[str, str] = dict(
-            self._session.get_modelmeta().custom_metadata_map or {}
-        )
+        self.properties: dict[str, str] = dict(told)
         self.form = InputFormat()
 
     def prepare(self, form: InputFormat) -> None:
@@ -371,6 +377,12 @@ class _Network:
             raise InputError(
                 f"{self._where}: takes pictures of {self.input_px[0]} x {self.input_px[1]} px; "
                 f"expected 1 to {_LARGEST_PX} px a side"
+            )
+        shown_px = self.input_px or (_DUMMY_PX, _DUMMY_PX)
+        if (self.batch or 1) * shown_px[0] * shown_px[1] > _MOST_PX:
+            raise InputError(
+                f"{self._where}: takes {self.batch} pictures of {shown_px[0]} x {shown_px[1]} px "
+                "at once, more than the memory holds; export it for a batch of one"
             )
         side = -(-_DUMMY_PX // form.stride) * form.stride
         self.dummy_px: tuple[int, int] = self.input_px or (side, side)
@@ -442,6 +454,7 @@ def _session(where: str, options: DetectorOptions) -> Any:
         raise InputError(f"{where}: there is no such ONNX file")
     if path.stat().st_size == 0:
         raise InputError(f"{where}: is empty")
+    check_onnx_file(path)
     available = available_providers()
     wanted = options.provider
     if wanted is not None and wanted not in available:
@@ -459,6 +472,8 @@ def _session(where: str, options: DetectorOptions) -> Any:
         settings.intra_op_num_threads = options.threads
     # Threads that wait in a loop keep the decoding of the next frame from the core.
     settings.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # What was checked is what is run; a file that is of another format is refused.
+    settings.add_session_config_entry("session.load_model_format", "ONNX")
     try:
         return onnxruntime.InferenceSession(
             where, sess_options=settings, providers=[PROVIDERS[name] for name in chosen]

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from sightline.evaluation.report import Report, write_json
+from sightline.text import terminal_text
 
 ALL_RECORDINGS = "all"
 """The name of the rows that pool all recordings."""
@@ -109,14 +110,14 @@ def paper_table(reports: Mapping[str, Report], title: str = "") -> Table:
     table.add_column("recording")
     table.add_column("metric", no_wrap=True)
     for model in reports:
-        table.add_column(escape(model), justify="right", no_wrap=True)
+        table.add_column(Text(terminal_text(model)), justify="right", no_wrap=True)
     last = ""
     for row in paper_rows(reports):
         if last and row.recording != last:
             table.add_section()
         best = smallest(row.values)
         table.add_row(
-            "" if row.recording == last else escape(row.recording),
+            "" if row.recording == last else Text(terminal_text(row.recording)),
             row.metric,
             *(
                 f"[bold]{number(value)}[/bold]" if model in best else number(value)
@@ -153,7 +154,7 @@ def overview_table(comparison: Comparison, title: str = "") -> Table:
         if comparison.smoothed:
             smoothed = comparison.smoothed.get(model)
             cells.append(number(smoothed.ape.rmse) if smoothed else number(math.nan))
-        table.add_row(escape(model), *cells)
+        table.add_row(Text(terminal_text(model)), *cells)
     return table
 
 

@@ -17,6 +17,7 @@ import pandas as pd
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
+from sightline.formats._log_table import is_log_table
 from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
@@ -34,6 +35,7 @@ from sightline.formats.parquet import parquet_track_writer, read_parquet_table
 from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
 from sightline.formats.water_levels import read_water_levels
 from sightline.geodesy import LocalPlane
+from sightline.tally import Tally
 from sightline.types import Boxes, Fixes, Track
 
 __all__ = [
@@ -64,8 +66,9 @@ __all__ = [
 T = TypeVar("T")
 
 _CHUNK_ROWS = 100_000
-_AIS = re.compile(r"![A-Z]{2}VD[MO],\d")
-_NMEA = re.compile(r"\$[A-Z]{2}(RMC|GGA|ZDA),")
+_AIS = re.compile(r"![A-Z][A-Z0-9]VD[MO],\d")
+_PLACE = re.compile(r"\$(?!P)[A-Z][A-Z0-9](?:RMC|GGA|GNS|GLL),")
+_NMEA = re.compile(r"[$!](?!P)[A-Z][A-Z0-9][A-Z]{3},")
 
 
 class TrackWriter(Protocol):
@@ -118,36 +121,42 @@ def _by_suffix(path: str | os.PathLike[str], known: dict[str, T], what: str) -> 
     return known[suffix]
 
 
-def read_fixes(path: str | os.PathLike[str], *, mmsi: int | None = None) -> Fixes:
+def read_fixes(
+    path: str | os.PathLike[str], *, mmsi: int | None = None, tally: Tally | None = None
+) -> Fixes:
     """The log of one vessel or vehicle: GPX, NMEA 0183, AIS or CSV.
 
-    What is in the file decides: XML is GPX; ``$..RMC`` and ``$..GGA`` sentences are the log of a
-    receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
-    ``time_utc,latitude_deg,longitude_deg``. A log with both kinds of sentences is read as AIS if
-    an MMSI is given.
+    What is in the file decides: XML is GPX; ``$..RMC``, ``GGA``, ``GNS`` and ``GLL`` sentences are
+    the log of a receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
+    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them. A log with both kinds
+    of sentences is read as AIS if an MMSI is given. Fixes that cannot be true are left out and
+    counted; see `sightline.plausibility`.
 
     Args:
         path: The file.
         mmsi: Which vessel of an AIS log; needed where it holds several.
+        tally: Takes what was read, left out and assumed; None: what was left out is logged.
 
     Raises:
         InputError: The file is missing, empty, damaged or of no known kind; has no times, times
             that decrease or places off the earth; or several vessels and none is chosen.
     """
     head = _files.beginning(path)
-    if _AIS.search(head) and (mmsi is not None or not _NMEA.search(head)):
-        return read_ais_vessel(path, mmsi)
+    sentences = bool(_NMEA.search(head))
+    # A log of many hours may begin with the receiver on board, and come to others later.
+    if sentences and (mmsi is not None or _only_ais(head)):
+        return read_ais_vessel(path, mmsi, tally=tally)
     if mmsi is not None:
         raise InputError(f"{path}: holds no AIS sentence, so no vessel can be chosen by its MMSI")
-    if _NMEA.search(head):
-        return read_nmea(path)
+    if sentences:
+        return read_nmea(path, tally=tally)
     if head.lstrip("\ufeff \t\r\n").startswith("<") or Path(path).suffix.lower() == ".gpx":
-        return read_gpx(path)
-    if Path(path).suffix.lower() == ".csv":
-        return read_fixes_csv(path)
+        return read_gpx(path, tally=tally)
+    if Path(path).suffix.lower() == ".csv" or is_log_table(head):
+        return read_fixes_csv(path, tally=tally)
     raise InputError(
-        f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC or GGA), AIS (!AIVDM) or "
-        "a .csv table with time_utc,latitude_deg,longitude_deg"
+        f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC, GGA, GNS or GLL), AIS "
+        "(!AIVDM) or a table with time_utc,latitude_deg,longitude_deg"
     )
 
 
@@ -157,8 +166,11 @@ def holds_ais(path: str | os.PathLike[str]) -> bool:
     Raises:
         InputError: The file is missing or cannot be read.
     """
-    head = _files.beginning(path)
-    return bool(_AIS.search(head)) and not _NMEA.search(head)
+    return _only_ais(_files.beginning(path))
+
+
+def _only_ais(head: str) -> bool:
+    return bool(_AIS.search(head)) and not _PLACE.search(head)
 
 
 def write_fixes(fixes: Fixes, path: str | os.PathLike[str]) -> None:
@@ -171,20 +183,31 @@ def write_fixes(fixes: Fixes, path: str | os.PathLike[str]) -> None:
 
 
 def read_boxes(
-    path: str | os.PathLike[str], *, source: str | None = None, skip_empty: bool = False
+    path: str | os.PathLike[str],
+    *,
+    source: str | None = None,
+    skip_empty: bool = False,
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Boxes:
     """All boxes of a file: a CSV table, or a MOTChallenge file (``.txt``).
 
     Args:
         path: The file; for its columns see `sightline.formats.boxes_csv` and `.mot`.
         source: The source of boxes that name none; None: ``""``.
-        skip_empty: Leave out boxes without width or height, which some detectors put out, and
-            log a warning that says how many, rather than refuse the file.
+        skip_empty: Leave out rows whose box has no width or height or no number, as some
+            detectors and trackers put them out, and count them, rather than refuse the file.
+        image_size_px: Width and height of the picture, for boxes in shares of it (0 to 1), which
+            are refused without it.
+        tally: Counts rows and boxes, and what is left out; None: a warning tells of it.
 
     Raises:
-        InputError: The file cannot be used; names the line.
+        InputError: The file cannot be used, or none of its rows; names the line.
     """
-    return Boxes.concatenate(list(iter_boxes(path, source=source, skip_empty=skip_empty)))
+    chunks = iter_boxes(
+        path, source=source, skip_empty=skip_empty, image_size_px=image_size_px, tally=tally
+    )
+    return Boxes.concatenate(list(chunks))
 
 
 def iter_boxes(
@@ -193,6 +216,8 @@ def iter_boxes(
     *,
     source: str | None = None,
     skip_empty: bool = False,
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Iterator[Boxes]:
     """The boxes of a file in chunks, at a memory that does not grow with its length.
 
@@ -201,12 +226,19 @@ def iter_boxes(
         chunk_rows: Most rows in a chunk.
         source: As for `read_boxes`.
         skip_empty: As for `read_boxes`.
+        image_size_px: As for `read_boxes`.
+        tally: As for `read_boxes`.
 
     Raises:
         InputError: The file cannot be used; names the line.
     """
     return _by_suffix(path, _BOX_READERS, "boxes")(
-        path, chunk_rows, source=source or "", skip_empty=skip_empty
+        path,
+        chunk_rows,
+        source=source or "",
+        skip_empty=skip_empty,
+        image_size_px=image_size_px,
+        tally=tally,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -13,18 +14,29 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
-from sightline.types import BoolArray, Fixes, FloatArray, StrArray, from_datetime64
+from sightline.formats._times import EXPECTED, NotUnderstoodError, read_numbers, read_times
+from sightline.plausibility import FASTEST_MPS, HARDEST_MPS2, implausible
+from sightline.synchronisation import repeated
+from sightline.tally import Tally
+from sightline.text import xml_text as xml_text
+from sightline.types import BoolArray, Fixes, FloatArray, StrArray
+
+_logger = logging.getLogger(__name__)
 
 _SNIFFED_BYTES = 65536
+_SENTENCE = re.compile(rb"[$!][A-Z]{5},[0-9A-Z.,*-]{6}")
 # What pandas takes for an empty cell of a column of numbers.
-_MISSING = (
+MISSING = (
     *("", "#N/A", "#N/A N/A", "#NA", "-1.#IND", "-1.#QNAN", "-NaN", "-nan", "1.#IND"),
     *("1.#QNAN", "<NA>", "N/A", "NA", "NULL", "NaN", "None", "n/a", "nan", "null"),
 )
+# Times in steps of two seconds or more that three fixes share, or a single one that many do.
+_COARSEST_S, _MANY, _MOST_A_SECOND = 2.0, 3, 60
+# gzip, zip (also of spreadsheets), xz, bzip2, Zstandard.
+_PACKED = (b"\x1f\x8b", b"PK\x03\x04", b"\xfd7zXZ", b"BZh", b"\x28\xb5\x2f\xfd")
 _NO_INT64 = 2.0**63
 # What fits into nanoseconds of 64 bits, with years to spare for what is computed from it.
-_FIRST_TIME, _LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
-_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+FIRST_TIME, LAST_TIME = np.datetime64("1700-01-01"), np.datetime64("2250-01-01")
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -53,9 +65,46 @@ def beginning(path: str | os.PathLike[str]) -> str:
     """
     with existing(path).open("rb") as file:
         head = file.read(_SNIFFED_BYTES)
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
+    if head.startswith(_PACKED):
+        raise InputError(
+            f"{path}: is a compressed file or a spreadsheet; unpack it, or save as text"
+        )
+    encoding = text_encoding(head)
+    # A logger that lost power leaves zeros among its sentences.
+    if b"\0" in head and not encoding.startswith("utf-16") and not _SENTENCE.search(head):
         raise InputError(f"{path}: is not text; expected a log or a table")
-    return head.decode("utf-8-sig", errors="replace")
+    return head.decode(encoding, errors="replace").lstrip("\ufeff")
+
+
+def text_encoding(head: bytes) -> str:
+    """The encoding that the first bytes of a text tell: UTF-16, also without a mark, or UTF-8."""
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    for encoding, zeros, letters in (("utf-16-le", 1, 0), ("utf-16-be", 0, 1)):
+        if len(head) > 3 and not any(head[zeros:200:2]) and all(head[letters:200:2]):
+            return encoding
+    return "utf-8-sig"
+
+
+def whole_text(path: str | os.PathLike[str], most_bytes: int) -> str:
+    """A text file as a whole: UTF-8 or UTF-16, else of a Western Windows.
+
+    Args:
+        path: The file.
+        most_bytes: A larger file is refused.
+
+    Raises:
+        InputError: As `beginning`, or the file is too large.
+    """
+    beginning(path)
+    if existing(path).stat().st_size > most_bytes:
+        raise InputError(f"{path}: is larger than {most_bytes // 2**20} MiB; split it")
+    data = existing(path).read_bytes()
+    encoding = text_encoding(data[:_SNIFFED_BYTES])
+    try:
+        return data.decode(encoding).lstrip("\ufeff")
+    except UnicodeDecodeError:
+        return data.decode("cp1252" if encoding == "utf-8-sig" else encoding, errors="replace")
 
 
 def log_lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
@@ -64,7 +113,10 @@ def log_lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
     Bytes that are no text become question marks: noise on a serial line spoils a sentence, whose
     checksum tells, and not the log.
     """
-    with existing(path).open(encoding="ascii", errors="replace") as file:
+    with existing(path).open("rb") as file:
+        encoding = text_encoding(file.read(_SNIFFED_BYTES))
+    encoding = encoding if encoding.startswith("utf-16") else "ascii"
+    with existing(path).open(encoding=encoding, errors="replace") as file:
         yield from enumerate(file, start=1)
 
 
@@ -90,11 +142,7 @@ def table(
     """
     beginning(path)
     try:
-        form: dict[str, Any] = {
-            "skipinitialspace": True,
-            "skip_blank_lines": False,
-            "encoding": "utf-8-sig",
-        }
+        form = _form(path, required)
         header = pd.read_csv(existing(path), nrows=0, **form).columns
         # As it stands: somebody may be called "nan" or "NA".
         spoken = [name for name in header if str(name).strip() in text]
@@ -103,7 +151,7 @@ def table(
             chunksize=chunk_rows or 2**62,
             dtype=dict.fromkeys(spoken, str),
             keep_default_na=False,
-            na_values={name: [""] if name in spoken else list(_MISSING) for name in header},
+            na_values={name: [""] if name in spoken else list(MISSING) for name in header},
             low_memory=False,
             **form,
         )
@@ -113,16 +161,44 @@ def table(
                     raise InputError(f"{path}: its rows have more cells than its header has names")
                 chunk.columns = chunk.columns.astype(str).str.strip()
                 _check_columns(path, list(chunk.columns), required, optional)
-                chunk.index += 2
+                chunk.index += 2 + form["skiprows"]
                 # Blank lines keep their number and then go.
                 yield chunk.dropna(how="all")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text in UTF-8 ({error.reason})") from error
+    except OverflowError as error:
+        raise InputError(f"{path}: holds a number that is too large") from error
     except pd.errors.EmptyDataError as error:
         raise InputError(f"{path}: holds no table; expected {_header(required)}") from error
     except pd.errors.ParserError as error:
         reason = str(error).strip().removeprefix("Error tokenizing data. C error: ")
         raise InputError(f"{path}: is no table of comma-separated values ({reason})") from error
+
+
+def _form(path: str | os.PathLike[str], required: Sequence[str]) -> dict[str, Any]:
+    """How a table is written, for pandas: its encoding, and what parts cells and decimals."""
+    with existing(path).open("rb") as file:
+        data = file.read(_SNIFFED_BYTES)
+    encoding = text_encoding(data)
+    lines = data.decode(encoding, errors="replace").lstrip("\ufeff").splitlines()
+    comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), 0)
+    header, *rows = lines[comments : comments + 20] or [""]
+    separator = ","
+    for other in (";", "\t"):
+        if set(required) <= {name.strip(' "') for name in header.split(other)} and other in header:
+            separator = other
+    text = "\n".join(rows)
+    comma = separator == ";" and re.search(r"\d,\d", text) and not re.search(r"\d\.\d", text)
+    return {
+        "skipinitialspace": True,
+        "skip_blank_lines": False,
+        "encoding": encoding,
+        "sep": separator,
+        "decimal": "," if comma else ".",
+        "skiprows": comments,
+        # A file is what it says, and unpacks into nothing larger.
+        "compression": None,
+    }
 
 
 def _header(required: Sequence[str]) -> str:
@@ -171,62 +247,104 @@ def refuse(
     """
     if bad.any():
         i = int(np.argmax(bad))
-        what = shortened(str(np.asarray(values)[i]))
+        what = shortened(_text(np.asarray(values)[i]))
         raise InputError(f"{path}, {row} {np.asarray(lines)[i]}: {what} {reason}")
 
 
 def shortened(text: str, most: int = 80) -> str:
-    """A text that fits into a message."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+    """A text that fits into a message of one line."""
+    cut = text if len(text) <= most else f"{text[: most - 3]}..."
+    line = " ".join(cut.split())
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in line)
 
 
-def numbers(path: str | os.PathLike[str], column: pd.Series) -> FloatArray:
+def numbers(path: str | os.PathLike[str], column: pd.Series, *, row: str = "line") -> FloatArray:
     """A column as float64; what is not a finite number is refused by its line."""
-    values = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64)
-    refuse(path, column.index, ~np.isfinite(values), column, f"is no number ({column.name})")
+    values = floats(column)
+    bad = ~np.isfinite(values)
+    refuse(path, column.index, bad, column, f"is no number ({column.name})", row=row)
     return values
 
 
-def whole_numbers(path: str | os.PathLike[str], column: pd.Series) -> NDArray[np.int64]:
+def floats(column: pd.Series) -> FloatArray:
+    """A column as float64; NaN where there is no number, infinite where it is beyond float64."""
+    try:
+        return pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
+    except OverflowError:
+        return np.array([_float(cell) for cell in column])
+
+
+def _float(cell: Any) -> float:
+    try:
+        return float(cell)
+    except OverflowError:
+        return float("inf")
+    except (TypeError, ValueError):
+        return float("nan")
+
+
+def whole_numbers(
+    path: str | os.PathLike[str], column: pd.Series, *, row: str = "line"
+) -> NDArray[np.int64]:
     """A column as int64; what is not a whole number is refused by its line."""
-    values = numbers(path, column)
-    refuse(path, column.index, values % 1 != 0, column, f"is no whole number ({column.name})")
+    values = numbers(path, column, row=row)
+    bad = values % 1 != 0
+    refuse(path, column.index, bad, column, f"is no whole number ({column.name})", row=row)
     far = np.abs(values) >= _NO_INT64
-    refuse(path, column.index, far, column, f"is too large a number ({column.name})")
+    refuse(path, column.index, far, column, f"is too large a number ({column.name})", row=row)
     return values.astype(np.int64)
 
 
 def times(
-    path: str | os.PathLike[str], column: pd.Series, *, missing_allowed: bool = False
+    path: str | os.PathLike[str],
+    column: pd.Series,
+    *,
+    missing_allowed: bool = False,
+    dated: bool = False,
+    zone_told: bool = True,
+    tally: Tally | None = None,
+    row: str = "line",
 ) -> FloatArray:
-    """A column of ISO 8601 times (UTC where they name no zone) or POSIX seconds as POSIX seconds.
+    """A column of times as POSIX seconds; see `sightline.formats._times` for what is understood.
 
     Args:
         path: The file, for the message.
         column: Text or numbers; its index is the line.
         missing_allowed: Whether a cell may be empty; it becomes NaN.
+        dated: Whether numbers of before 2000 are refused, as seconds of a day.
+        zone_told: Whether the column's name says that its times are in UTC.
+        tally: Takes what was assumed of how they are written.
+        row: What its index counts.
     """
-    empty = column.isna().to_numpy()
-    seconds = pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
-    written = np.isnan(seconds) & ~empty
-    if written.any():
-        parsed = pd.to_datetime(column[written], utc=True, format="ISO8601", errors="coerce")
-        stamps = parsed.dt.tz_localize(None).to_numpy()
-        stamps = np.where(
-            (stamps > _FIRST_TIME) & (stamps < _LAST_TIME), stamps, np.datetime64("NaT")
+    empty = column.isna().to_numpy(dtype=bool)
+    if not missing_allowed:
+        refuse(
+            path, column.index, empty, column, f"is no time ({column.name}); {EXPECTED}", row=row
         )
-        seconds[written] = from_datetime64(stamps)
-    first_s, last_s = from_datetime64([_FIRST_TIME, _LAST_TIME])
-    known = (seconds > first_s) & (seconds < last_s)
-    bad = ~known & ~(empty & missing_allowed)
-    refuse(
-        path,
-        column.index,
-        bad,
-        column,
-        f"is no time ({column.name}); expected ISO 8601, as 2020-09-30T19:36:24Z, or POSIX seconds",
-    )
-    return seconds
+    try:
+        if pd.api.types.is_numeric_dtype(column):
+            read = read_numbers(column.to_numpy(dtype=np.float64), dated=dated)
+        else:
+            texts = ["" if gone else _text(cell) for gone, cell in zip(empty, column, strict=True)]
+            read = read_times(texts, dated=dated)
+    except NotUnderstoodError as error:
+        line, cell = column.index[error.row], shortened(_text(column.iloc[error.row]))
+        why = error.why.replace("is no time", f"is no time ({column.name})", 1)
+        raise InputError(f"{path}, {row} {line}: {cell} {why}") from error
+    if tally is not None:
+        for sentence in read.assumed:
+            tally.note(sentence)
+        if read.zoneless and not zone_told:
+            tally.note("its times name no zone and are taken for UTC")
+    return read.time_utc_s
+
+
+def _text(cell: object) -> str:
+    """A cell as it stands; Python writes out no number of over 4,300 digits."""
+    try:
+        return str(cell)
+    except ValueError:
+        return "a number of thousands of digits"
 
 
 def fixes(
@@ -238,8 +356,9 @@ def fixes(
     *,
     name: str = "",
     row: str = "line",
+    tally: Tally | None = None,
 ) -> Fixes:
-    """Fixes of a file, whose errors name the file and the row.
+    """Fixes of a file that can be true; the others are left out and counted.
 
     Args:
         path: The file.
@@ -249,35 +368,149 @@ def fixes(
         longitude_deg: (N,) degrees east.
         name: Whose log it is.
         row: What ``rows`` counts.
+        tally: Takes what is left out; None: it is logged.
 
     Raises:
-        InputError: A place is not on the earth, or times decrease.
+        InputError: A place is not on the earth, times decrease, or no fix can be true.
     """
     when, latitude, longitude = (
         np.asarray(values, dtype=np.float64) for values in (time_utc_s, latitude_deg, longitude_deg)
     )
+    kept = usable(path, rows, when, latitude, longitude, row=row, tally=tally)
+    return Fixes(when[kept], latitude[kept], longitude[kept], name=name)
+
+
+def usable(
+    path: str | os.PathLike[str],
+    rows: ArrayLike,
+    time_utc_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    *,
+    row: str = "line",
+    tally: Tally | None = None,
+) -> BoolArray:
+    """Which fixes of a file can be true, (N,) bool, for readers with further columns; see `fixes`.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each fix stands.
+        time_utc_s: (N,) POSIX seconds.
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        row: What ``rows`` counts.
+        tally: Takes what is left out; None: it is logged.
+
+    Raises:
+        InputError: As `fixes`.
+    """
     numbers = np.asarray(rows)
-    bad = ~((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 180.0))
-    if bad.any():
-        i = int(np.argmax(bad))
+    check_places(path, numbers, latitude_deg, longitude_deg, row=row)
+    once = ~repeated(time_utc_s, latitude_deg, longitude_deg)
+    check_order(path, numbers[once], time_utc_s[once], row=row)
+    own = tally if tally is not None else Tally(path)
+    found = implausible(time_utc_s, latitude_deg, longitude_deg)
+    for reason, which in (
+        ("that stand twice", found.repeated),
+        ("at 0° north, 0° east, which receivers write that have no fix", found.nowhere),
+        (f"that nothing could have reached at {FASTEST_MPS:g} m/s", found.out_of_reach),
+        (f"off the track and back at over {HARDEST_MPS2:g} m/s²", found.astray),
+    ):
+        if which.any():
+            i = int(np.argmax(which))
+            text = f"{latitude_deg[i]:.6f}, {longitude_deg[i]:.6f} at {rfc3339(time_utc_s[i])}"
+            own.leave_out(reason, int(which.sum()), row=f"{row} {numbers[i]}", text=text)
+    kept = found.kept
+    if kept.size and 2 * kept.sum() <= (once & ~found.nowhere).sum():
         raise InputError(
-            f"{path}, {row} {numbers[i]}: latitude {latitude[i]:g}, longitude {longitude[i]:g} is "
-            "not on the earth; latitudes lie within ±90 degrees, longitudes within ±180 "
-            "(are the columns swapped?)"
+            f"{path}: no more than {kept.sum()} of its {kept.size} fixes can be true; left out: "
+            f"{own.reasons()}"
         )
-    backwards = np.diff(when) < 0.0
+    if tally is None:
+        own.warn(_logger)
+    return kept
+
+
+def check_order(
+    path: str | os.PathLike[str], rows: ArrayLike, time_utc_s: FloatArray, *, row: str = "line"
+) -> None:
+    """Raise an error that names the first row whose time is earlier than that of the row before.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each time stands.
+        time_utc_s: (N,) POSIX seconds.
+        row: What ``rows`` counts.
+    """
+    backwards = np.diff(time_utc_s) < 0.0
     if backwards.any():
         i = int(np.argmax(backwards)) + 1
         raise InputError(
-            f"{path}, {row} {numbers[i]}: {rfc3339(when[i])} is earlier than the fix before it; "
-            "the times of a log must not decrease"
+            f"{path}, {row} {np.asarray(rows)[i]}: {rfc3339(time_utc_s[i])} is earlier than the "
+            "fix before it; the times of a log must not decrease"
         )
-    return Fixes(when, latitude, longitude, name=name)
 
 
-def xml_text(text: str) -> str:
-    """A text without the control characters that no XML file can hold."""
-    return _NOT_IN_XML.sub("\ufffd", text)
+def check_digits(
+    path: str | os.PathLike[str],
+    rows: ArrayLike,
+    texts: Sequence[str],
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    *,
+    row: str = "line",
+) -> None:
+    """Raise an error where times were rounded so that many places share each of them.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each fix stands.
+        texts: (N,) the times as they stand.
+        time_s: (N,) POSIX seconds.
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        row: What ``rows`` counts.
+    """
+    once = ~repeated(time_s, latitude_deg, longitude_deg)
+    times, count = np.unique(time_s[once], return_counts=True)
+    shared, most = int(count[count > 1].sum()), int(count.max(initial=0))
+    if 2 * shared <= once.sum() or np.median(count) < _MANY:
+        return
+    step_s = float(np.diff(times).min()) if times.size > 1 else float(most > _MOST_A_SECOND) * most
+    if step_s >= _COARSEST_S:
+        i = int(np.argmax(time_s == times[np.argmax(count)]))
+        raise InputError(
+            f"{path}, {row} {np.asarray(rows)[i]}: {shortened(texts[i])} is the time of {most} "
+            "different places; the times were rounded, write them with all their digits"
+        )
+
+
+def check_places(
+    path: str | os.PathLike[str],
+    rows: ArrayLike,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    *,
+    row: str = "line",
+) -> None:
+    """Raise an error that names the first row whose place is not on the earth.
+
+    Args:
+        path: The file.
+        rows: (N,) where in the file each place stands.
+        latitude_deg: (N,) degrees north.
+        longitude_deg: (N,) degrees east.
+        row: What ``rows`` counts.
+    """
+    bad = ~((np.abs(latitude_deg) <= 90.0) & (np.abs(longitude_deg) <= 180.0))
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise InputError(
+            f"{path}, {row} {np.asarray(rows)[i]}: latitude {latitude_deg[i]:g}, longitude "
+            f"{longitude_deg[i]:g} is not on the earth; latitudes lie within ±90 degrees, "
+            "longitudes within ±180 (are the columns swapped?)"
+        )
 
 
 def milliseconds(time_utc_s: ArrayLike) -> NDArray[np.datetime64]:

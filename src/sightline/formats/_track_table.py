@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from datetime import date
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.geodesy import LocalPlane
+from sightline.text import encodable_text
 from sightline.types import FloatArray, PointKind, Track, ellipses, from_datetime64
 
 KINDS = tuple(kind.name.lower() for kind in PointKind)
@@ -29,6 +32,7 @@ _VELOCITY_COVARIANCE = (
 )
 _ELLIPSE = ("semi_major_m", "semi_minor_m", "ellipse_bearing_deg")
 _PROBABILITY = 0.95
+_PLAIN = (str, int, float, date, np.generic, type(None), type(pd.NaT))
 
 COLUMNS = (
     *("track_id", "time_utc", *_MEASURES, "kind", "label"),
@@ -66,7 +70,7 @@ def table(track: Track) -> pd.DataFrame:
     content: dict[str, object] = {
         "track_id": np.full(len(track), track.track_id, dtype=np.int64),
         "time_utc": times,
-        "label": pd.array([track.label] * len(track), dtype="str"),
+        "label": pd.array([encodable_text(track.label)] * len(track), dtype="str"),
         **columns(track),
     }
     return pd.DataFrame({name: content[name] for name in COLUMNS})
@@ -83,31 +87,55 @@ def empty() -> pd.DataFrame:
 
 
 def with_posix_times(path: str | os.PathLike[str], rows: pd.DataFrame) -> pd.DataFrame:
-    """A table that has ``time_utc`` as time stamps, with ``time_utc_s``.
+    """A table that has ``time_utc`` as time stamps or text, with ``time_utc_s``.
 
     Raises:
-        InputError: A column is missing, or a time or a track's number is none.
+        InputError: A column is missing, a time or a track's number is none, or a cell holds
+            something else than a text or a number.
     """
     missing = [name for name in REQUIRED if name not in rows]
     if missing:
-        raise InputError(
-            f"{path}: lacks {', '.join(missing)}; found {', '.join(map(str, rows.columns))}"
-        )
-    stamps = pd.to_datetime(rows["time_utc"], utc=True, errors="coerce").dt.tz_localize(None)
-    unknown = stamps.isna().to_numpy()
-    _files.refuse(path, rows.index, unknown, rows["time_utc"], "is no time (time_utc)", row="row")
+        raise lacks(path, missing, map(str, rows.columns))
+    rows = plain(path, rows)
+    if pd.api.types.is_datetime64_any_dtype(rows["time_utc"]):
+        stamps = pd.to_datetime(rows["time_utc"], utc=True).dt.tz_localize(None).to_numpy()
+        near = (stamps > _files.FIRST_TIME) & (stamps < _files.LAST_TIME)
+        reason = "is no time (time_utc)"
+        _files.refuse(path, rows.index, ~near, rows["time_utc"], reason, row="row")
+        time_utc_s = from_datetime64(stamps)
+    else:
+        time_utc_s = _files.times(path, rows["time_utc"], row="row")
     return rows.assign(
-        time_utc_s=from_datetime64(stamps.to_numpy()),
-        track_id=_files.whole_numbers(path, rows["track_id"]),
+        time_utc_s=time_utc_s, track_id=_files.whole_numbers(path, rows["track_id"], row="row")
     )
+
+
+def lacks(path: str | os.PathLike[str], missing: Iterable[str], found: Iterable[str]) -> InputError:
+    """An `InputError` for columns that a table has not."""
+    there = _files.shortened(", ".join(found), 300)
+    return InputError(f"{path}: lacks {', '.join(missing)}; found {there}")
+
+
+def plain(path: str | os.PathLike[str], rows: pd.DataFrame, row: str = "row") -> pd.DataFrame:
+    """The table, whose cells are texts, numbers and times, and nothing else.
+
+    Raises:
+        InputError: There is something else, such as a list.
+    """
+    for name in rows.columns:
+        if rows[name].dtype == object:
+            bad = [not isinstance(cell, _PLAIN) for cell in rows[name]]
+            reason = f"is no text and no number ({name})"
+            _files.refuse(path, rows.index, np.array(bad, dtype=bool), rows[name], reason, row=row)
+    return rows
 
 
 def _with_numbers(path: str | os.PathLike[str], rows: pd.DataFrame) -> pd.DataFrame:
     """The table with numbers wherever numbers are meant; NaN where a cell is empty."""
     for name in (*_MEASURES, *_COVARIANCE, *_VELOCITY_COVARIANCE, *_ELLIPSE):
         if name in rows:
-            column = pd.to_numeric(rows[name], errors="coerce")
-            bad = (column.isna() & rows[name].notna()).to_numpy()
+            column = _files.floats(rows[name])
+            bad = ~np.isfinite(column) & rows[name].notna().to_numpy()
             what = f"is no number ({name})"
             _files.refuse(path, rows.index, bad, rows[name], what, row="row")
             rows = rows.assign(**{name: column})
@@ -139,8 +167,8 @@ def tracks(
     rows = _with_numbers(path, rows)
     latitude = rows["latitude_deg"].to_numpy(dtype=float)
     longitude = rows["longitude_deg"].to_numpy(dtype=float)
-    # Fixes says which row lies off the earth; times are looked at track by track.
-    _files.fixes(path, rows.index, np.zeros(len(rows)), latitude, longitude, row="row")
+    # Times are looked at track by track.
+    _files.check_places(path, rows.index, latitude, longitude, row="row")
     if plane is None:
         plane = LocalPlane(float(latitude[0]), float(longitude[0]))
     try:
@@ -210,7 +238,7 @@ def _kinds(rows: pd.DataFrame) -> np.ndarray:
     if "kind" not in rows:
         return np.full(len(rows), PointKind.MEASURED, dtype=np.int8)
     code = {word: value for value, word in enumerate(KINDS)}
-    kinds = rows["kind"].map(code)
+    kinds = rows["kind"].astype(str).map(code)
     if kinds.isna().any():
         raise InputError(
             f"unknown kind {rows['kind'][kinds.isna()].iloc[0]!r}; known are {', '.join(KINDS)}"
@@ -222,4 +250,4 @@ def _label(rows: pd.DataFrame) -> str:
     if "label" not in rows:
         return ""
     label = rows["label"].iloc[0]
-    return "" if pd.isna(label) else str(label)
+    return "" if pd.isna(label) else encodable_text(str(label))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,11 @@ import pyais.messages
 
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.types import Fixes, FloatArray
+from sightline.formats._ais_messages import Message, read_messages
+from sightline.formats._sentences import ReceptionClock
+from sightline.plausibility import distance_m
+from sightline.tally import Tally
+from sightline.types import Fixes, FloatArray, IntArray
 
 _logger = logging.getLogger(__name__)
 
@@ -28,24 +32,25 @@ _POSITION_REPORTS = (
     pyais.messages.MessageType19,
     pyais.messages.MessageType27,
 )
-_SENTENCE = re.compile(
-    r"(?:\\(?P<tag>[^\\]*)\\)?"
-    r"(?P<sentence>![A-Z]{2}VD[MO],(?P<parts>\d),(?P<part>\d),(?P<group>\d?),(?P<channel>[^,]*),"
-    r"[^,]*,\d\*[0-9A-Fa-f]{2})"
-)
-_TAG_TIME = re.compile(r"(?:^|,)c:(\d+)")
-_ISO_TIME = re.compile(
-    r"\d{4}[-/]\d{2}[-/]\d{2}[T ]\d{2}:\d{2}:\d{2}(?:\.\d+)?(?:Z|[+-]\d{2}:?\d{2})?"
-)
-_POSIX_TIME = re.compile(r"(?<![\w.])(\d{13}|\d{10}(?:\.\d+)?)(?![\w.])")
+# Up to the second of the minute, or what comes last before it.
+_LEAST_BITS = {1: 143, 2: 143, 3: 143, 18: 139, 19: 139, 27: 94}
+_UNTIMED = "position reports without a time of reception"
 _KNOT_MPS = 1852.0 / 3600.0
 _LONG_RANGE = 27
-_WAITING = 64
-"""How many unfinished messages are remembered; their parts follow each other closely."""
+
+# How far reports may lie from what the one before leads to, on top of what its speed does.
+_PLACE_M = 30.0
+_TIME_S = 3.0
+_CHANGE_MPS = 5.0
+_ACCELERATION_MPS2 = 0.1
+_FASTEST_MPS = 55.0
+_ANOTHER_VESSEL = 3
+_MOST_NAMED = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class _Report:
+    line: int
     mmsi: int
     time_utc_s: float
     latitude_deg: float
@@ -67,128 +72,249 @@ class AisVessel:
     velocity_mps: FloatArray
 
 
-def read_ais(path: str | os.PathLike[str]) -> dict[int, Fixes]:
+def read_ais(path: str | os.PathLike[str], *, tally: Tally | None = None) -> dict[int, Fixes]:
     r"""The positions of all vessels in a log of AIS sentences (``!AIVDM``, ``!AIVDO``), by MMSI.
 
     Used are the position reports of types 1, 2, 3, 18, 19 and 27. AIS messages carry the second
     of their minute at most, so each line needs the time of its reception: in a TAG block
-    (``\c:1601494584*hh\``), or before or after the sentence, as ISO 8601 or POSIX seconds. Where
-    a report tells its second, the fix is at that second of the minute nearest to the reception.
-    Reports arrive late and by several stations, so fixes are put in order, and repeats are left
-    out. Sentences with a wrong checksum are skipped, and a warning is logged that says how many.
+    (``\c:1601494584*hh\``), or before or after the sentence, as ISO 8601 or POSIX seconds; where
+    there is none, that of the RMC or ZDA before it will do. Where a report tells its second, the
+    fix is at that second of the minute nearest to the reception. Reports arrive late and by several
+    stations, so fixes are put in order, and repeats count once.
+
+    The parts of a message are put together by their number, id, channel, talker and station, and
+    only where they come close to each other. Left out and counted are parts whose others are
+    missing, sentences with a wrong checksum, and reports without a place or a time. Where two
+    vessels use the same MMSI, the reports of that with more of them are kept.
 
     Args:
         path: The log; read line by line.
+        tally: Takes what was read and left out; None: what was left out is logged.
 
     Raises:
         InputError: No report is usable, or none has a time.
     """
-    return {mmsi: vessel.fixes for mmsi, vessel in read_ais_feed(path).items()}
+    return {mmsi: vessel.fixes for mmsi, vessel in read_ais_feed(path, tally=tally).items()}
 
 
-def read_ais_feed(path: str | os.PathLike[str]) -> dict[int, AisVessel]:
+def read_ais_feed(
+    path: str | os.PathLike[str], *, tally: Tally | None = None
+) -> dict[int, AisVessel]:
     """As `read_ais`, with the velocities that the reports tell.
 
     Args:
         path: The log.
+        tally: As for `read_ais`.
 
     Raises:
         InputError: As `read_ais`.
     """
-    vessels: dict[int, dict[tuple[float, float, float], tuple[float, float]]] = {}
-    for report in _reports(path):
-        place = (report.time_utc_s, report.latitude_deg, report.longitude_deg)
-        vessels.setdefault(report.mmsi, {}).setdefault(place, report.velocity_mps)
-    feed = {}
-    for mmsi in sorted(vessels):
-        places = sorted(vessels[mmsi])
-        columns = np.array(places)
-        feed[mmsi] = AisVessel(
-            Fixes(columns[:, 0], columns[:, 1], columns[:, 2], name=str(mmsi)),
-            np.array([vessels[mmsi][place] for place in places]),
-        )
+    own = Tally(path) if tally is None else tally
+    vessels = _vessels(path, own)
+    feed = _feed(path, vessels, sorted(vessels), own)
+    if tally is None:
+        own.warn(_logger)
     return feed
 
 
-def read_ais_vessel(path: str | os.PathLike[str], mmsi: int | None) -> Fixes:
+def read_ais_vessel(
+    path: str | os.PathLike[str], mmsi: int | None, *, tally: Tally | None = None
+) -> Fixes:
     """The positions of one vessel in a log of AIS sentences.
 
     Args:
         path: The log.
         mmsi: The vessel; None where the log is of one alone.
+        tally: As for `read_ais`.
 
     Raises:
         InputError: As `read_ais`; the vessel is not in the log; or there are several and none is
             chosen. The message lists those that there are.
     """
-    vessels = read_ais(path)
+    own = Tally(path) if tally is None else tally
+    vessels = _vessels(path, own)
     if mmsi is None and len(vessels) == 1:
-        return next(iter(vessels.values()))
-    if mmsi in vessels:
-        return vessels[mmsi]
-    most = sorted(vessels, key=lambda number: -len(vessels[number]))
-    listed = ", ".join(f"{number} ({len(vessels[number])} fixes)" for number in most[:10])
-    if len(most) > 10:
-        listed += f" and {len(most) - 10} more"
-    if mmsi is None:
-        raise InputError(f"{path}: holds {len(vessels)} vessels, say which MMSI: {listed}")
-    raise InputError(f"{path}: holds no vessel with the MMSI {mmsi}; it holds {listed}")
+        mmsi = next(iter(vessels))
+    if mmsi not in vessels:
+        most = sorted(sorted(vessels), key=lambda number: -len(vessels[number]))
+        listed = ", ".join(f"{number} ({len(vessels[number])} fixes)" for number in most[:10])
+        if len(most) > 10:
+            listed += f" and {len(most) - 10} more"
+        if mmsi is None:
+            raise InputError(f"{path}: holds {len(vessels)} vessels, say which MMSI: {listed}")
+        raise InputError(f"{path}: holds no vessel with the MMSI {mmsi}; it holds {listed}")
+    found = _feed(path, vessels, [mmsi], own)[mmsi].fixes
+    if tally is None:
+        own.warn(_logger)
+    return found
 
 
-def _reports(path: str | os.PathLike[str]) -> Iterator[_Report]:
-    waiting: dict[tuple[str, str, str], tuple[list[str], float | None]] = {}
-    usable = spoilt = untimed = 0
-    for _, text in _files.log_lines(path):
-        for match in _SENTENCE.finditer(text):
-            parts, time_s = [match["sentence"]], _reception_s(text, match)
-            if match["parts"] != "1":
-                key = (match["parts"], match["group"], match["channel"])
-                if match["part"] == "1":
-                    waiting.pop(key, None)
-                    if len(waiting) >= _WAITING:
-                        waiting.pop(next(iter(waiting)))
-                    waiting[key] = (parts, time_s)
-                    continue
-                if key not in waiting:
-                    continue
-                before, first_s = waiting[key]
-                before.append(match["sentence"])
-                if match["part"] != match["parts"]:
-                    continue
-                del waiting[key]
-                parts, time_s = before, first_s if first_s is not None else time_s
-            try:
-                message = pyais.decode(*parts, error_if_checksum_invalid=True)
-            except (pyais.exceptions.AISBaseException, ValueError, IndexError):
-                spoilt += 1
-                continue
-            if not isinstance(message, _POSITION_REPORTS):
-                continue
-            # 91 and 181 degrees say that the position is not available.
-            if not (abs(message.lat) <= 90.0 and abs(message.lon) <= 180.0):
-                continue
-            if time_s is None:
-                untimed += 1
-                continue
-            usable += 1
-            second = getattr(message, "second", 60)
-            yield _Report(
-                int(message.mmsi),
-                _refined_s(time_s, second) if second < 60 else time_s,
-                float(message.lat),
-                float(message.lon),
-                _velocity_mps(message),
-            )
-    if not usable and untimed:
-        raise InputError(
-            f"{path}: none of its {untimed} AIS position reports has a time of reception; log it "
-            "in a TAG block (\\c:1601494584*hh\\) or before each sentence "
-            "(2020-09-30T19:36:24Z !AIVDM,...)"
+def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[_Report]]:
+    """The reports of each vessel in the order of time, each place and time once."""
+    tally.format = "AIS"
+    seen: dict[int, dict[tuple[float, float, float], _Report]] = {}
+    repeats = 0
+    for report in _reports(path, tally):
+        place = (report.time_utc_s, report.latitude_deg, report.longitude_deg)
+        own = seen.setdefault(report.mmsi, {})
+        repeats += place in own
+        own.setdefault(place, report)
+    if repeats:
+        tally.count("reports received again", repeats)
+    return {mmsi: [own[place] for place in sorted(own)] for mmsi, own in seen.items()}
+
+
+def _feed(
+    path: str | os.PathLike[str],
+    vessels: dict[int, list[_Report]],
+    wanted: list[int],
+    tally: Tally,
+) -> dict[int, AisVessel]:
+    """What is told of some vessels, without what is of others or cannot be true."""
+    feed = {}
+    shared: list[str] = []
+    for mmsi in wanted:
+        reports = vessels[mmsi]
+        columns = np.array(
+            [
+                (r.time_utc_s, r.latitude_deg, r.longitude_deg, *r.velocity_mps, r.line)
+                for r in reports
+            ]
+        )
+        ways = _ways(columns)
+        usual = int(np.argmax(np.bincount(ways)))
+        kept = ways == usual
+        others = np.bincount(ways[~kept], minlength=1)
+        reason = f"reports from where the vessel {mmsi} cannot have come"
+        if others.max() >= _ANOTHER_VESSEL:
+            reason = f"reports of another vessel that uses the MMSI {mmsi}"
+            shared.append(str(mmsi))
+        if not kept.all():
+            first = columns[int(np.argmin(kept))]
+            text = f"{first[1]:.6f}, {first[2]:.6f} at {_files.rfc3339(first[0])}"
+            tally.leave_out(reason, int((~kept).sum()), row=f"line {first[5]:.0f}", text=text)
+        columns = columns[kept]
+        usable = _files.usable(path, columns[:, 5].astype(np.int64), *columns[:, :3].T, tally=tally)
+        columns = columns[usable]
+        feed[mmsi] = AisVessel(Fixes(*columns[:, :3].T, name=str(mmsi)), columns[:, 3:5])
+    if shared:
+        named = ", ".join(shared[:_MOST_NAMED]) + (" ..." if len(shared) > _MOST_NAMED else "")
+        tally.note(
+            f"two vessels or more use the same MMSI ({named}); the reports of that with most of "
+            "them are kept"
+        )
+    tally.count("fixes", sum(len(vessel.fixes) for vessel in feed.values()))
+    return feed
+
+
+def _ways(columns: FloatArray) -> IntArray:
+    """Which way each report of one MMSI belongs to, (N,) from 0.
+
+    A report goes on with the way that leads there soonest; where none does, it begins one.
+
+    Args:
+        columns: (N, 6) time, latitude, longitude, velocity east and north, line.
+    """
+    time_s, latitude_deg, longitude_deg = columns[:, :3].T
+    speed_mps = np.hypot(columns[:, 3], columns[:, 4])
+    speed_mps = np.where(np.isnan(speed_mps), _FASTEST_MPS, speed_mps)
+    lag_s = np.diff(time_s)
+    way_m = distance_m(latitude_deg[:-1], longitude_deg[:-1], latitude_deg[1:], longitude_deg[1:])
+    faster = np.maximum(speed_mps[:-1], speed_mps[1:])
+    ways = np.zeros(time_s.size, dtype=np.int64)
+    if (way_m <= _reach_m(faster, lag_s)).all():
+        return ways
+    last = [0]
+    for i in range(1, time_s.size):
+        before = np.array(last)
+        way_m = distance_m(
+            latitude_deg[before],
+            longitude_deg[before],
+            latitude_deg[i : i + 1],
+            longitude_deg[i : i + 1],
+        )
+        faster = np.maximum(speed_mps[before], speed_mps[i])
+        share = way_m / _reach_m(faster, time_s[i] - time_s[before])
+        best = int(np.argmin(share))
+        if share[best] <= 1.0:
+            ways[i], last[best] = best, i
+        else:
+            ways[i] = len(last)
+            last.append(i)
+    return ways
+
+
+def _reach_m(speed_mps: FloatArray, lag_s: FloatArray) -> FloatArray:
+    """How far from each other two reports of one vessel may be."""
+    most_mps = np.minimum(speed_mps + _CHANGE_MPS + _ACCELERATION_MPS2 * lag_s, _FASTEST_MPS)
+    return np.asarray(_PLACE_M + most_mps * lag_s + np.minimum(speed_mps, _FASTEST_MPS) * _TIME_S)
+
+
+def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[_Report]:
+    usable = 0
+    reception = ReceptionClock()
+    for message in read_messages(path, reception, tally):
+        first, received_s = message.first, message.received_s
+        report = _decoded(message)
+        if report is None:
+            tally.leave_out("AIS messages that cannot be read", row=first.row, text=first.text)
+            continue
+        tally.count("AIS messages")
+        if not isinstance(report, _POSITION_REPORTS):
+            continue
+        tally.count("position reports")
+        reason = _no_place(report) or ("" if received_s is not None else _UNTIMED)
+        if reason:
+            tally.leave_out(reason, row=first.row, text=first.text)
+            continue
+        assert received_s is not None, "there would be a reason"
+        usable += 1
+        second = getattr(report, "second", 60)
+        yield _Report(
+            first.line,
+            int(report.mmsi),
+            _refined_s(received_s, second) if second < 60 else received_s,
+            float(report.lat),
+            float(report.lon),
+            _velocity_mps(report),
         )
     if not usable:
-        raise InputError(f"{path}: holds no usable AIS position report; {spoilt} are spoilt")
-    if spoilt:
-        _logger.warning("%s: %d AIS messages are spoilt and left out", path, spoilt)
+        raise InputError(f"{path}: {_why_none(reception, tally)}")
+
+
+def _no_place(report: Any) -> str:
+    # 91 and 181 degrees say that the position is not available.
+    if not (abs(report.lat) <= 90.0 and abs(report.lon) <= 180.0):
+        return "position reports without a place"
+    if report.lat == 0.0 and report.lon == 0.0:
+        return "position reports at 0° north, 0° east, which transponders send that have no fix"
+    return ""
+
+
+def _why_none(reception: ReceptionClock, tally: Tally) -> str:
+    untimed = tally.left_out.get(_UNTIMED)
+    if untimed is not None:
+        text, row = reception.unreadable
+        shown = f" ({row}: {_files.shortened(text, 40)} is none)" if text else ""
+        return (
+            f"none of its {untimed.count} AIS position reports has a time of reception{shown}; log "
+            "it in a TAG block (\\c:1601494584*hh\\) or before each sentence "
+            "(2020-09-30T19:36:24Z !AIVDM,...)"
+        )
+    said = f"; left out: {tally.reasons()}" if tally.left_out else ""
+    return f"holds no usable AIS position report{said}"
+
+
+def _decoded(message: Message) -> Any:
+    """What a message says; None where it says nothing that can be understood."""
+    # One sentence whatever its talker, ids and channels were: the parts have been looked at.
+    body = f"AIVDM,1,1,,A,{message.payload},{message.fill_bits}"
+    try:
+        found = pyais.decode(f"!{body}*{reduce(xor, body.encode()):02X}")
+    except (pyais.exceptions.AISBaseException, ArithmeticError, LookupError, TypeError, ValueError):
+        return None
+    needed = _LEAST_BITS.get(int(found.msg_type), 0)
+    return found if 6 * len(message.payload) - message.fill_bits >= needed else None
 
 
 def _velocity_mps(message: Any) -> tuple[float, float]:
@@ -200,30 +326,6 @@ def _velocity_mps(message: Any) -> tuple[float, float]:
         return float("nan"), float("nan")
     speed, course = speed_knots * _KNOT_MPS, np.radians(course_deg)
     return float(speed * np.sin(course)), float(speed * np.cos(course))
-
-
-def _reception_s(text: str, match: re.Match[str]) -> float | None:
-    """When a sentence was received, from its TAG block or from what surrounds it in the line."""
-    tagged = _TAG_TIME.search(match["tag"] or "")
-    if tagged:
-        return _seconds(tagged[1])
-    for around in (text[: match.start()], text[match.end() :]):
-        iso = _ISO_TIME.search(around)
-        if iso:
-            try:
-                moment = datetime.fromisoformat(iso[0].replace("/", "-"))
-            except ValueError:
-                continue
-            return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        posix = _POSIX_TIME.search(around)
-        if posix:
-            return _seconds(posix[1])
-    return None
-
-
-def _seconds(digits: str) -> float:
-    """POSIX seconds, from seconds or milliseconds."""
-    return int(digits) / 1000.0 if digits.isdigit() and len(digits) == 13 else float(digits)
 
 
 def _refined_s(reception_s: float, second: int) -> float:

@@ -16,16 +16,24 @@ import pandas as pd
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes, FloatArray
+from sightline.formats._box_table import iter_box_table, refuse_empty
+from sightline.tally import Tally
+from sightline.text import cell_text, text_of_cell
+from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes
 
 _logger = logging.getLogger(__name__)
 
 _CORNERS = ("x1", "y1", "x2", "y2")
-_OPTIONAL = ("frame", "time_utc", "confidence", "annotator", "track_id", "label", "target")
 
 
 def iter_boxes_csv(
-    path: str | os.PathLike[str], chunk_rows: int, *, source: str = "", skip_empty: bool = False
+    path: str | os.PathLike[str],
+    chunk_rows: int,
+    *,
+    source: str = "",
+    skip_empty: bool = False,
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Iterator[Boxes]:
     """Boxes of a CSV file in chunks, in the order of the file, at constant memory.
 
@@ -34,33 +42,40 @@ def iter_boxes_csv(
     ``track_id``, ``label`` and ``target``; rows whose ``target`` is 0 are of another boat than the
     logged one, and are left out. Several boxes in a frame, even the same twice, are kept.
 
+    Tables of trackers are read as they are: cells apart by semicolons, tabs or spaces, decimal
+    commas, usual other names of columns (``x_min``, ``left``, ``bb_left``, ``score``,
+    ``tracker_id``), a corner or the centre with width and height, percents, and rows without a
+    header, which are of MOTChallenge's form. What was assumed is told; a column that is not used is
+    named.
+
     Args:
         path: The file.
         chunk_rows: Most rows in a chunk.
         source: The source of boxes that name no annotator.
-        skip_empty: Leave out boxes without width or height, which some detectors put out, and
-            log a warning that says how many, rather than refuse the file.
+        skip_empty: Leave out rows whose box has no width or height or no number, as some
+            detectors put them out, and count them, rather than refuse the file.
+        image_size_px: Width and height of the picture, for boxes in shares of it (0 to 1), which
+            are refused without it.
+        tally: Counts rows and boxes, and what is left out.
 
     Yields:
         Tables of boxes.
 
     Raises:
-        InputError: A column is missing or unknown, or a row holds no box; names file and line.
+        InputError: A column is missing, a row holds no box, or none of the rows is of use; names
+            file and line.
     """
-    for rows in _files.table(
+    own = tally if tally is not None else Tally(path)
+    yield from iter_box_table(
         path,
-        required=_CORNERS,
-        optional=_OPTIONAL,
-        text=("annotator", "label"),
-        chunk_rows=chunk_rows,
-    ):
-        if "frame" not in rows and "time_utc" not in rows:
-            raise InputError(
-                f"{path}: lacks the column frame (or time_utc); found {', '.join(rows.columns)}"
-            )
-        if "target" in rows:
-            rows = rows[targets(path, rows)]
-        yield boxes_of_rows(path, rows, source, skip_empty)
+        chunk_rows,
+        tally=own,
+        source=source,
+        skip_empty=skip_empty,
+        image_size_px=image_size_px,
+    )
+    if tally is None:
+        own.warn(_logger)
 
 
 def targets(path: str | os.PathLike[str], rows: pd.DataFrame) -> BoolArray:
@@ -74,13 +89,10 @@ def targets(path: str | os.PathLike[str], rows: pd.DataFrame) -> BoolArray:
     return np.asarray(flag == 1)
 
 
-def boxes_of_rows(
-    path: str | os.PathLike[str], rows: pd.DataFrame, source: str = "", skip_empty: bool = False
-) -> Boxes:
-    """Boxes of the rows of a table, whose index is the line; see `iter_boxes_csv`."""
+def boxes_of_rows(path: str | os.PathLike[str], rows: pd.DataFrame) -> Boxes:
+    """Boxes of the rows of a table of labels, whose index is the line."""
     xyxy = np.column_stack([_files.numbers(path, rows[name]) for name in _CORNERS])
-    kept = usable(path, rows.index, xyxy, skip_empty)
-    rows, xyxy = rows[kept], xyxy[kept]
+    refuse_empty(path, rows.index, xyxy)
     frame = time = confidence = track = None
     if "frame" in rows:
         frame = _files.whole_numbers(path, rows["frame"])
@@ -99,44 +111,16 @@ def boxes_of_rows(
         frame=frame,
         time_utc_s=time,
         confidence=confidence,
-        source=_text(rows, "annotator", source),
+        source=_text(rows, "annotator"),
         track_id=track,
-        label=_text(rows, "label", ""),
+        label=_text(rows, "label"),
     )
 
 
-def _text(rows: pd.DataFrame, column: str, default: str) -> list[str] | str:
+def _text(rows: pd.DataFrame, column: str) -> list[str] | str:
     if column not in rows:
-        return default
-    return rows[column].fillna(default).astype(str).str.strip().tolist()
-
-
-def usable(
-    path: str | os.PathLike[str], lines: pd.Index, xyxy_px: FloatArray, skip_empty: bool
-) -> BoolArray:
-    """Which rows hold a box; those whose corners are reversed are refused by their line.
-
-    Args:
-        path: The file.
-        lines: (N,) numbers of the lines.
-        xyxy_px: (N, 4) pixels.
-        skip_empty: Whether boxes without width or height are left out, not refused.
-
-    Returns:
-        (N,) bool.
-    """
-    size = xyxy_px[:, 2:] - xyxy_px[:, :2]
-    empty: BoolArray = (size == 0.0).any(axis=1)
-    refused = (size < 0.0).any(axis=1) | (empty & (not skip_empty))
-    if refused.any():
-        i = int(np.argmax(refused))
-        raise InputError(
-            f"{path}, line {lines[i]}: the box {','.join(f'{v:g}' for v in xyxy_px[i])} is empty "
-            "or reversed; expected x1 < x2 and y1 < y2 (upper left corner, lower right corner)"
-        )
-    if empty.any():
-        _logger.warning("%s: %d boxes without width or height are left out", path, empty.sum())
-    return np.logical_not(empty)
+        return ""
+    return [text_of_cell(cell) for cell in rows[column].fillna("").astype(str).str.strip()]
 
 
 def write_boxes_csv(boxes: Boxes, path: str | os.PathLike[str]) -> None:
@@ -165,7 +149,7 @@ def columns_of(boxes: Boxes, path: str | os.PathLike[str]) -> dict[str, object]:
     columns |= {name: boxes.xyxy_px[:, i] for i, name in enumerate(_CORNERS)}
     columns["confidence"] = boxes.confidence
     if (boxes.source != "").any():
-        columns["annotator"] = boxes.source
+        columns["annotator"] = [cell_text(text) for text in boxes.source.tolist()]
     if timed.any():
         stamps = pd.Series(index=range(len(boxes)), dtype=object)
         stamps[timed] = _files.rfc3339(boxes.time_utc_s[timed])
@@ -173,7 +157,7 @@ def columns_of(boxes: Boxes, path: str | os.PathLike[str]) -> dict[str, object]:
     if (boxes.track_id != NO_TRACK).any():
         columns["track_id"] = boxes.track_id
     if (boxes.label != "").any():
-        columns["label"] = boxes.label
+        columns["label"] = [cell_text(text) for text in boxes.label.tolist()]
     return columns
 
 
@@ -210,8 +194,8 @@ class CsvBoxWriter:
                 boxes.frame.tolist(),
                 *boxes.xyxy_px.T.round(2).tolist(),
                 boxes.confidence.round(4).tolist(),
-                boxes.source.tolist(),
-                boxes.label.tolist(),
+                [cell_text(text) for text in boxes.source.tolist()],
+                [cell_text(text) for text in boxes.label.tolist()],
                 stamps.tolist(),
                 strict=True,
             )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
+from sightline.text import encodable_text
 from sightline.types import Track
 
 _PROPERTIES = (
@@ -59,7 +60,7 @@ class GeoJsonTrackWriter:
         columns = _track_table.columns(track)
         columns["time"] = _files.rfc3339(track.time_utc_s)
         texts = [_values(columns[name]) for name in _COLUMNS]
-        label = json.dumps(track.label).replace("%", "%%")
+        label = json.dumps(encodable_text(track.label)).replace("%", "%%")
         feature = _FEATURE % (json.dumps(track.track_id), label)
         points = [feature % point for point in zip(*texts, strict=True)]
         self._file.write(self._separator + ",\n".join(points))
@@ -96,10 +97,10 @@ def read_geojson_table(path: str | os.PathLike[str]) -> pd.DataFrame:
         raise InputError(f"{path}: holds no point of a track")
     rows = pd.DataFrame([_row(path, i, feature) for i, feature in enumerate(features, start=1)])
     rows.index += 1
-    rows["track_id"] = _files.whole_numbers(path, rows["track_id"])
-    rows["time_utc_s"] = _files.times(path, rows["time"])
+    rows["track_id"] = _files.whole_numbers(path, rows["track_id"], row="feature")
+    rows["time_utc_s"] = _files.times(path, rows["time"], row="feature")
     for name in ("latitude_deg", "longitude_deg"):
-        rows[name] = _files.numbers(path, rows[name])
+        rows[name] = _files.numbers(path, rows[name], row="feature")
     return rows
 
 
@@ -109,7 +110,7 @@ def _row(path: str | os.PathLike[str], number: int, feature: Any) -> dict[str, A
         longitude, latitude = geometry["coordinates"][:2]
         if geometry["type"] != "Point":
             raise KeyError(geometry["type"])
-        return {
+        row = {
             **{name: properties.get(name, np.nan) for name in _PROPERTIES if name in properties},
             "track_id": properties["track_id"],
             "time": properties["time"],
@@ -120,3 +121,9 @@ def _row(path: str | os.PathLike[str], number: int, feature: Any) -> dict[str, A
         raise InputError(
             f"{path}, feature {number}: is no Point with the properties track_id and time"
         ) from error
+    for name, value in row.items():
+        if isinstance(value, str):
+            row[name] = encodable_text(value)
+        elif not isinstance(value, int | float | None):
+            raise InputError(f"{path}, feature {number}: its {name} is no text and no number")
+    return row

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import sqlite3
-import warnings
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -20,6 +19,10 @@ from sightline.types import Track
 _LAYER = "tracks"
 _ROWS_AT_ONCE = 50_000
 _MOST_TEXT = 120
+_MAGIC = b"SQLite format 3\0"
+_LONGEST_CELL = 1_000_000
+# Pages of a damaged file may lead to one another without an end.
+_LEAST_ROW_BYTES = 4
 
 
 @contextmanager
@@ -44,7 +47,10 @@ class GeoPackageTrackWriter:
 
     def add(self, track: Track) -> None:
         """Add one track; it is written with others, since each write is a transaction."""
-        self._waiting.append(_track_table.table(track))
+        rows = _track_table.table(track)
+        # A text ends at a zero there.
+        rows["label"] = rows["label"].str.replace("\0", "\ufffd")
+        self._waiting.append(rows)
         self._rows += len(track)
         if self._rows >= _ROWS_AT_ONCE:
             self.flush()
@@ -101,17 +107,57 @@ def _not_written(reason: str) -> OSError:
 def read_geopackage_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     """The points of the layer ``tracks`` of a GeoPackage, with ``time_utc_s``.
 
+    A GeoPackage is an SQLite database, and is read as one: GDAL guesses what a file is by what is
+    in it, and would follow an address in a file that only has a GeoPackage's name.
+
     Raises:
         InputError: The file is no GeoPackage, has no such layer, or a column is missing.
     """
-    geopandas = module("geopandas", "geopackage")
-    errors = module("pyogrio.errors", "geopackage")
     file = _files.existing(path)
+    with file.open("rb") as beginning:
+        if beginning.read(len(_MAGIC)) != _MAGIC:
+            raise InputError(f"{path}: is no GeoPackage, which is an SQLite database")
+    # Another program that has it open keeps its last changes beside it.
+    alone = not os.path.exists(f"{file}-wal")
+    address = f"{file.absolute().as_uri()}?mode=ro" + ("&immutable=1" if alone else "")
     try:
-        with warnings.catch_warnings():
-            # What GDAL finds odd in a file that it can read is of no use to anybody here.
-            warnings.simplefilter("ignore", RuntimeWarning)
-            rows = geopandas.read_file(file, layer=_LAYER, engine="pyogrio")
-    except (errors.DataSourceError, errors.DataLayerError) as error:
-        raise InputError(f"{path}: is no GeoPackage with a layer {_LAYER!r} ({error})") from error
-    return _track_table.with_posix_times(path, pd.DataFrame(rows.drop(columns="geometry")))
+        with closing(sqlite3.connect(address, uri=True)) as database:
+            rows = _rows(path, database, file.stat().st_size // _LEAST_ROW_BYTES)
+    except (sqlite3.Error, sqlite3.Warning, UnicodeError, OverflowError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"{path}: is no GeoPackage, is damaged, or is cut short ({reason})"
+        ) from error
+    return _track_table.with_posix_times(path, rows)
+
+
+def _rows(
+    path: str | os.PathLike[str], database: sqlite3.Connection, most_rows: int
+) -> pd.DataFrame:
+    """The rows of the layer, of which nothing is computed by what stands in the file."""
+    database.execute("PRAGMA trusted_schema=OFF")
+    database.execute("PRAGMA cell_size_check=ON")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST_CELL)
+    layers = dict(
+        database.execute("SELECT name, type || ' ' || ifnull(sql, '') FROM sqlite_schema")
+    )
+    definition = layers.get(_LAYER, "")
+    if not definition.startswith("table CREATE TABLE"):
+        raise InputError(f"{path}: is no GeoPackage with a layer {_LAYER!r}")
+    columns = [name for _, name, *_ in database.execute(f"PRAGMA table_info({_LAYER})")]
+    known = [name for name in columns if name in _track_table.COLUMNS]
+    missing = [name for name in _track_table.REQUIRED if name not in known]
+    if missing:
+        raise _track_table.lacks(path, missing, columns)
+    database.set_authorizer(_reading_alone)
+    cursor = database.execute(f"SELECT {', '.join(known)} FROM {_LAYER}")  # noqa: S608 - names of ours
+    rows = cursor.fetchmany(most_rows + 1)
+    if len(rows) > most_rows:
+        raise sqlite3.DatabaseError("it has more rows than fit into it")
+    return pd.DataFrame(rows, columns=known, dtype=object)
+
+
+def _reading_alone(action: int, *_: object) -> int:
+    """Whether SQLite may do something: read tables, and nothing else."""
+    reading = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ)
+    return sqlite3.SQLITE_OK if action in reading else sqlite3.SQLITE_DENY

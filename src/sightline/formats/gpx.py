@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
+from itertools import groupby
 from pathlib import Path
 from typing import TextIO
 
@@ -19,29 +20,52 @@ from gpxpy.gpxfield import gpx_fields_to_xml
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files
+from sightline.formats._gpx_points import GpxLine, GpxPoint, read_gpx_points
+from sightline.formats._times import NotUnderstoodError, read_times
+from sightline.synchronisation import mean_longitudes_deg
+from sightline.tally import Tally
 from sightline.types import Fixes, FloatArray, Track
 
+_logger = logging.getLogger(__name__)
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="sightline" xmlns="http://www.topografix.com/GPX/1/1">
 """
 
 
-def read_gpx(path: str | os.PathLike[str]) -> Fixes:
-    """The points of all tracks in a GPX file, in the order of the file.
+def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fixes:
+    """The points of all tracks in a GPX file, in the order of time.
 
-    Times that repeat, as receivers write that log whole seconds, are kept.
+    GPX 1.0 and 1.1 are read, whatever prefixes or namespace their elements have; what stands in
+    extensions, or in another namespace, is not the point's. Where there is no track, the points of
+    routes and then the waypoints are its fixes, if they have times. Segments may stand in any
+    order. Times that repeat, as receivers write that log whole seconds, are kept; fixes that cannot
+    be true are not (`sightline.plausibility`).
 
     Args:
         path: The file. A document type is refused, since entities in it can fill the memory.
+        tally: Takes what was read, left out and assumed; None: what was left out is logged.
 
     Raises:
-        InputError: The file is no GPX or cut short, has no track points, a point has no time,
-            times decrease, or a place is not on the earth.
+        InputError: The file is no GPX or cut short, has no points, a point has no time, times
+            decrease within a segment, or a place is not on the earth.
     """
-    gpx = _parse(path)
-    points = [point for track in gpx.tracks for point in _points(track)]
-    names = {track.name for track in gpx.tracks if track.name}
-    return _fixes(path, points, names.pop() if len(names) == 1 else "")
+    own = tally if tally is not None else Tally(path)
+    own.format = "GPX"
+    read = read_gpx_points(path)
+    lines = read.tracks
+    for kind, other in (("route points", read.routes), ("waypoints", read.waypoints)):
+        points = [point for line in other for point in line.points]
+        own.count(kind, len(points))
+        if not any(line.points for line in lines) and any(point.time for point in points):
+            lines = other
+            own.note(f"it has no track; its {kind} are read as fixes")
+    own.count("track points", sum(len(line.points) for line in read.tracks))
+    names = {line.track.name for line in read.tracks if line.track.name}
+    fixes = _fixes(path, lines, names.pop() if len(names) == 1 else "", own)
+    own.count("fixes", len(fixes))
+    if tally is None:
+        own.warn(_logger)
+    return fixes
 
 
 def read_gpx_table(path: str | os.PathLike[str]) -> pd.DataFrame:
@@ -55,22 +79,28 @@ def read_gpx_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     Raises:
         InputError: As `read_gpx`.
     """
-    gpx = _parse(path)
+    read = read_gpx_points(path)
     tables = []
-    used = {track.number for track in gpx.tracks}
+    used = {line.track.number for line in read.tracks}
     spare = (number for number in range(1, 2**31) if number not in used)
-    for track in gpx.tracks:
-        log = _fixes(path, _points(track), "")
+    for _, segments in groupby(read.tracks, key=lambda line: id(line.track)):
+        lines = list(segments)
+        track = lines[0].track
+        points = [point for line in lines for point in line.points]
+        time_s, latitude, longitude = _columns(path, points, None)
+        rows = [point.row for point in points]
+        _files.check_places(path, rows, latitude, longitude, row="point")
+        _files.check_order(path, rows, time_s, row="point")
         number = next(spare) if track.number is None else track.number
-        rows = pd.DataFrame(
-            {
-                "time_utc_s": log.time_utc_s,
-                "latitude_deg": log.latitude_deg,
-                "longitude_deg": log.longitude_deg,
-            }
+        times, first, group, count = np.unique(
+            time_s, return_index=True, return_inverse=True, return_counts=True
         )
-        rows = rows.groupby("time_utc_s", as_index=False).mean()
-        tables.append(rows.assign(track_id=number, label=track.type or ""))
+        table = {
+            "time_utc_s": times,
+            "latitude_deg": np.bincount(group, latitude) / count,
+            "longitude_deg": mean_longitudes_deg(longitude, group, first),
+        }
+        tables.append(pd.DataFrame(table).assign(track_id=number, label=track.kind))
     if not tables:
         raise InputError(f"{path}: holds no track")
     return pd.concat(tables, ignore_index=True)
@@ -112,10 +142,6 @@ def write_gpx(fixes: Fixes, path: str | os.PathLike[str]) -> None:
         temporary.write_text(_HEADER + _xml(out) + "</gpx>\n", encoding="utf-8")
 
 
-def _points(track: gpxpy.gpx.GPXTrack) -> list[gpxpy.gpx.GPXTrackPoint]:
-    return [point for segment in track.segments for point in segment.points]
-
-
 def _xml(track: gpxpy.gpx.GPXTrack) -> str:
     return gpx_fields_to_xml(track, "trk", "1.1").strip() + "\n"
 
@@ -137,53 +163,73 @@ def _segment(
     )
 
 
-def _parse(path: str | os.PathLike[str]) -> gpxpy.gpx.GPX:
-    data = _files.existing(path).read_bytes()
-    declared = re.match(rb"""\s*<\?xml[^>]*encoding=["']([A-Za-z0-9._-]+)""", data)
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
-    if declared and declared[1].lower() != b"utf-8":
-        encoding = declared[1].decode("ascii")
-    try:
-        text = data.decode(encoding)
-    except (UnicodeDecodeError, LookupError) as error:
-        raise InputError(f"{path}: is not text in {encoding}, so it is no GPX file") from error
-    if re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        raise InputError(
-            f"{path}: declares a document type, which GPX has none of and which can be abused; "
-            "remove the <!DOCTYPE ...> declaration"
-        )
-    # The text is decoded: what encoding it once had is no longer true.
-    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", text.lstrip("\ufeff"), count=1)
-    try:
-        return gpxpy.parse(text)
-    except (gpxpy.gpx.GPXException, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(
-            f"{path}: is no GPX file, is damaged, or is cut short ({reason})"
-        ) from error
+def _fixes(
+    path: str | os.PathLike[str], lines: Sequence[GpxLine], name: str, tally: Tally
+) -> Fixes:
+    points = [point for line in lines for point in line.points]
+    time_s, latitude, longitude = _columns(path, points, tally)
+    rows = np.array([point.row for point in points])
+    # Programs write the newest track first, or the segments of a pause behind each other.
+    begins = np.cumsum([0, *(len(line.points) for line in lines if line.points)])
+    segments = np.split(np.arange(rows.size), begins[1:-1])
+    order = np.concatenate(sorted(segments, key=lambda segment: float(time_s[segment[0]])))
+    known = order[np.isfinite(latitude[order]) & np.isfinite(longitude[order])]
+    if known.size < rows.size:
+        first = rows[np.setdiff1d(order, known)[0]]
+        tally.leave_out("without a place", rows.size - known.size, row=f"point {first}")
+    texts = [points[i].time for i in known]
+    places = latitude[known], longitude[known]
+    _files.check_digits(path, rows[known], texts, time_s[known], *places, row="point")
+    return _files.fixes(
+        path,
+        rows[known],
+        time_s[known],
+        *places,
+        name=name,
+        row="point",
+        tally=tally,
+    )
 
 
-def _fixes(path: str | os.PathLike[str], points: list[gpxpy.gpx.GPXTrackPoint], name: str) -> Fixes:
+def _columns(
+    path: str | os.PathLike[str], points: Sequence[GpxPoint], tally: Tally | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times and places of points."""
     if not points:
         raise InputError(f"{path}: has no track points")
-    timed = [point.time is not None for point in points]
-    if not any(timed):
+    untimed = [point.row for point in points if not point.time]
+    if len(untimed) == len(points):
         raise InputError(
             f"{path}: none of its {len(points)} points has a time; a log without times cannot be "
             "matched with a video (was it exported as a route?)"
         )
-    if not all(timed):
-        raise InputError(f"{path}, point {timed.index(False) + 1}: has no time")
-    return _files.fixes(
-        path,
-        range(1, len(points) + 1),
-        [_posix(point.time) for point in points if point.time is not None],
-        [point.latitude for point in points],
-        [point.longitude for point in points],
-        name=name,
-        row="point",
-    )
+    if untimed:
+        raise InputError(f"{path}, point {untimed[0]}: has no time")
+    try:
+        read = read_times([point.time for point in points])
+    except NotUnderstoodError as error:
+        point = points[error.row]
+        raise InputError(
+            f"{path}, point {point.row}: {_files.shortened(point.time)} {error.why}"
+        ) from error
+    if tally is not None:
+        for sentence in read.assumed:
+            tally.note(sentence)
+        if read.zoneless:
+            tally.note("its times name no zone and are taken for UTC")
+    places = np.array([[_degrees(path, point, axis) for axis in (0, 1)] for point in points])
+    return read.time_utc_s, places[:, 0], places[:, 1]
 
 
-def _posix(moment: datetime) -> float:
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+def _degrees(path: str | os.PathLike[str], point: GpxPoint, axis: int) -> float:
+    text = (point.latitude, point.longitude)[axis]
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        value = float("inf")
+    if np.isinf(value):
+        raise InputError(
+            f"{path}, point {point.row}: {_files.shortened(text) or 'nothing'} is no number "
+            f"({('lat', 'lon')[axis]})"
+        )
+    return value

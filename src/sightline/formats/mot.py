@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,28 +15,39 @@ import pandas as pd
 
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats import _files
-from sightline.formats.boxes_csv import usable
-from sightline.types import NO_FRAME, NO_TRACK, Boxes
+from sightline.formats._box_table import iter_box_table
+from sightline.tally import Tally
+from sightline.types import NO_FRAME, Boxes
 
-_COLUMNS = ("frame", "id", "bb_left", "bb_top", "bb_width", "bb_height", "conf")
+_logger = logging.getLogger(__name__)
 
 
 def iter_mot(
-    path: str | os.PathLike[str], chunk_rows: int, *, source: str = "", skip_empty: bool = False
+    path: str | os.PathLike[str],
+    chunk_rows: int,
+    *,
+    source: str = "",
+    skip_empty: bool = False,
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Iterator[Boxes]:
     """Boxes of a MOTChallenge file in chunks, at constant memory.
 
     Rows are ``frame,id,bb_left,bb_top,bb_width,bb_height,conf`` and what may follow, without a
     header. Frames count from 1 there and from 0 here. An id of -1 is no track. A confidence of -1
-    is one that is not given and becomes 1. In ground truth (nine columns) the seventh says
-    whether the row counts, and rows with 0 are left out. Pixels are taken as they stand.
+    is one that is not given and becomes 1. In ground truth (nine columns, of which the seventh is
+    0 or 1, the eighth a class and the ninth a visibility from 0 to 1) the seventh says whether the
+    row counts, and rows with 0 are left out. Pixels are taken as they stand. For what else is
+    understood see `sightline.formats.boxes_csv.iter_boxes_csv`.
 
     Args:
         path: The file.
         chunk_rows: Most rows in a chunk.
         source: The source of all boxes.
-        skip_empty: Leave out boxes without width or height, rather than refuse the file.
+        skip_empty: Leave out rows whose box has no width or height or no number, and count them,
+            rather than refuse the file.
+        image_size_px: Width and height of the picture, for boxes in shares of it.
+        tally: Counts rows and boxes, and what is left out.
 
     Yields:
         Tables of boxes.
@@ -43,54 +55,17 @@ def iter_mot(
     Raises:
         InputError: A row cannot be understood or holds no box; names file and line.
     """
-    _files.beginning(path)
-    try:
-        with pd.read_csv(
-            path, header=None, chunksize=chunk_rows, skip_blank_lines=False, skipinitialspace=True
-        ) as reader:
-            for chunk in reader:
-                chunk.index += 1
-                rows = chunk.dropna(how="all")
-                if rows.shape[1] < 6:
-                    raise InputError(
-                        f"{path}: has {rows.shape[1]} columns; a MOTChallenge file has at least "
-                        "six: frame,id,bb_left,bb_top,bb_width,bb_height"
-                    )
-                yield _boxes(path, rows, source, skip_empty)
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text in UTF-8 ({error.reason})") from error
-    except (pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        reason = str(error).strip().removeprefix("Error tokenizing data. C error: ")
-        raise InputError(f"{path}: is no MOTChallenge file ({reason})") from error
-
-
-def _boxes(
-    path: str | os.PathLike[str], rows: pd.DataFrame, source: str, skip_empty: bool
-) -> Boxes:
-    named = rows.rename(columns=dict(enumerate(_COLUMNS)))
-    left, top, width, height = (_files.numbers(path, named[name]) for name in _COLUMNS[2:6])
-    xyxy = np.column_stack([left, top, left + width, top + height])
-    frame = _files.whole_numbers(path, named["frame"])
-    _files.refuse(path, rows.index, frame < 1, frame, "is no frame; MOTChallenge counts from 1")
-    track = _files.whole_numbers(path, named["id"])
-    confidence = np.ones(len(rows))
-    counts = np.ones(len(rows), dtype=bool)
-    if "conf" in named:
-        given = _files.numbers(path, named["conf"])
-        if rows.shape[1] == 9:
-            counts = given != 0.0
-        else:
-            confidence = np.where(given == -1.0, 1.0, given)
-            outside = (confidence < 0.0) | (confidence > 1.0)
-            _files.refuse(path, rows.index, outside, given, "is no confidence between 0 and 1")
-    counts[counts] = usable(path, rows.index[counts], xyxy[counts], skip_empty)
-    return Boxes.of(
-        xyxy[counts],
-        frame=frame[counts] - 1,
-        confidence=confidence[counts],
+    own = tally if tally is not None else Tally(path)
+    yield from iter_box_table(
+        path,
+        chunk_rows,
+        tally=own,
         source=source,
-        track_id=np.where(track < 0, NO_TRACK, track)[counts],
+        skip_empty=skip_empty,
+        image_size_px=image_size_px,
     )
+    if tally is None:
+        own.warn(_logger)
 
 
 def write_mot(boxes: Boxes, path: str | os.PathLike[str]) -> None:

@@ -15,6 +15,10 @@ from sightline.errors import InputError
 from sightline.formats import _files, _track_table
 from sightline.types import Track
 
+_TEXTS = ("label", "kind")
+_LONGEST_TEXT = 1000
+_MOST_ROWS = 20_000_000
+
 
 @contextmanager
 def parquet_track_writer(path: Path) -> Iterator[ParquetTrackWriter]:
@@ -44,12 +48,59 @@ def read_parquet_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     """The points of all tracks in a Parquet file, with ``time_utc_s``.
 
     Raises:
-        InputError: The file is no Parquet, or a column is missing.
+        InputError: The file is no Parquet or is damaged, a column is missing, holds something else
+            than texts, numbers or times, or there are more rows than a table of tracks has.
     """
     arrow = module("pyarrow", "parquet")
-    file = _files.existing(path)
+    parquet = module("pyarrow.parquet", "parquet")
+    reader = _files.existing(path)
     try:
-        rows = module("pyarrow.parquet", "parquet").read_table(file).to_pandas()
-    except (arrow.ArrowInvalid, OSError) as error:
+        # Texts stay numbered: one that is long and stands in many rows is not written out.
+        with reader.open("rb") as opened:
+            file = parquet.ParquetFile(opened, read_dictionary=list(_TEXTS))
+            names = list(dict.fromkeys(file.schema_arrow.names))
+            known = [name for name in names if name in _track_table.COLUMNS]
+            missing = [name for name in _track_table.REQUIRED if name not in known]
+            if missing:
+                raise _track_table.lacks(path, missing, names)
+            _check(path, arrow, file, known)
+            table = file.read(columns=known)
+        # What pandas once wrote of itself into the file says nothing here, and may be damaged.
+        rows = _decoded(table.replace_schema_metadata(None), arrow).to_pandas()
+    except (
+        arrow.ArrowException,
+        *(OSError, ValueError, TypeError, LookupError, OverflowError, AttributeError),
+    ) as error:
         raise InputError(f"{path}: is no Parquet file, is damaged, or is cut short") from error
     return _track_table.with_posix_times(path, rows)
+
+
+def _check(path: str | os.PathLike[str], arrow: Any, file: Any, known: list[str]) -> None:
+    """Raise InputError for what no table of tracks has, before it is unpacked."""
+    if file.metadata.num_rows > _MOST_ROWS:
+        raise InputError(
+            f"{path}: says that it has {file.metadata.num_rows:,} rows; at most {_MOST_ROWS:,} can "
+            "be read as tracks"
+        )
+    kinds = arrow.types
+    for name in known:
+        kind = file.schema_arrow.field(name).type
+        if kinds.is_dictionary(kind):
+            kind = kind.value_type
+        text = kinds.is_string(kind) or kinds.is_large_string(kind)
+        if not (text or kinds.is_primitive(kind) or kinds.is_null(kind)):
+            raise InputError(f"{path}: its {name} are {kind}, no texts and no numbers")
+
+
+def _decoded(table: Any, arrow: Any) -> Any:
+    """The table with its numbered texts written out, each cut to the longest that is shown."""
+    for i, name in enumerate(table.column_names):
+        column = table.column(i)
+        if arrow.types.is_dictionary(column.type):
+            chunks = []
+            for chunk in column.chunks:
+                texts = [str(text.as_py() or "")[:_LONGEST_TEXT] for text in chunk.dictionary]
+                chunks.append(arrow.DictionaryArray.from_arrays(chunk.indices, arrow.array(texts)))
+            written = arrow.chunked_array(chunks or [arrow.array([], arrow.string())])
+            table = table.set_column(i, name, written.cast(arrow.string()))
+    return table

@@ -12,6 +12,7 @@ from typing import TextIO
 import pandas as pd
 
 from sightline.formats import _files, _track_table
+from sightline.text import cell_text, text_of_cell
 from sightline.types import Track
 
 
@@ -23,7 +24,10 @@ def csv_track_writer(path: Path) -> Iterator[CsvTrackWriter]:
 
 
 class CsvTrackWriter:
-    """Adds tracks to an open CSV file; see `csv_track_writer`."""
+    """Adds tracks to an open CSV file; see `csv_track_writer`.
+
+    A label that a spreadsheet would take for a formula is written as a text; see `cell_text`.
+    """
 
     def __init__(self, file: TextIO) -> None:
         self._writer = csv.writer(file, lineterminator=os.linesep)
@@ -35,7 +39,7 @@ class CsvTrackWriter:
         content = {
             "track_id": [track.track_id] * len(track),
             "time_utc": _files.rfc3339(track.time_utc_s).tolist(),
-            "label": [track.label] * len(track),
+            "label": [cell_text(track.label)] * len(track),
         }
         for name, column in _track_table.columns(track).items():
             content[name] = ["" if value != value else value for value in column.tolist()]
@@ -54,4 +58,6 @@ def read_csv_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     rows["track_id"] = _files.whole_numbers(path, rows["track_id"])
     for name in ("latitude_deg", "longitude_deg"):
         rows[name] = _files.numbers(path, rows[name])
+    if "label" in rows:
+        rows["label"] = rows["label"].map(text_of_cell, na_action="ignore")
     return rows

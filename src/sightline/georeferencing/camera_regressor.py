@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -23,6 +24,7 @@ from sightline.camera.parameters import (
 )
 from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
 from sightline.camera.priors import ANY_ASPECT, CameraPrior, PixelNoise, SourcePrior
+from sightline.georeferencing.model_file import numbers_of_shape
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings
@@ -36,6 +38,9 @@ FEWEST_FOR_RESIDUAL = 10
 LARGEST_RELATIVE_SIGMA = 0.5
 """A box whose range is less certain than this share of itself has no position."""
 
+LARGEST_GAP_SIGMA_M = 1.0
+"""The residual process learns from boxes in gaps of a log where these say the place to this."""
+
 UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
@@ -43,6 +48,7 @@ other boats end their boxes 6 to 8 px too high, people who draw boxes differ by 
 # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
+_INPUTS = len(_LENGTH_SCALES)
 # So that what is known of a chunk stays in a core's own cache.
 _CHUNK = 1024
 
@@ -55,6 +61,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         residual: Whether to learn the residual process (`camera+gpr`) or only the camera.
         prior: Prior of the camera; None: that of an ordinary one.
         source_priors: Priors of the biases of sources, by their names; others have ``prior``'s.
+        noise: Noise of a foot, taken as known; None: estimated from the residuals.
         position_known: Whether the camera stands at the origin of the plane, as far as one knows.
         heaving: Whether the camera is on a vessel, whose heave is no error of the log.
         starts: Random starting cameras of the fit.
@@ -76,6 +83,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         residual: bool = True,
         prior: CameraPrior | None = None,
         source_priors: Mapping[str, SourcePrior] | None = None,
+        noise: PixelNoise | None = None,
         position_known: bool = True,
         heaving: bool = False,
         starts: int = 8,
@@ -86,6 +94,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.residual = residual
         self.prior = prior
         self.source_priors = source_priors
+        self.noise = noise
         self.position_known = position_known
         self.heaving = heaving
         self.starts = starts
@@ -124,7 +133,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 for name, belief in (self.source_priors or {}).items()
                 if name in self.sources_
             },
-            noise=PixelNoise(correlated_m=0.0) if n == 0 else None,
+            noise=PixelNoise(correlated_m=0.0) if n == 0 else self.noise,
             settings=CameraFitSettings(
                 position_known=self.position_known,
                 heaving=self.heaving,
@@ -423,6 +432,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 & np.isfinite(targets).all(axis=1)
                 & (noise[:, 0] < LARGEST_RELATIVE_SIGMA)
                 & ~self.fit_.outlier[:n]
+                # What a vessel did in a gap of its log is not what the camera leaves.
+                & (observations.fix_sigma_m <= max(self.fit_.noise.place_m, LARGEST_GAP_SIGMA_M))
             )
         if usable.sum() < FEWEST_FOR_RESIDUAL:
             return
@@ -450,6 +461,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
 
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
+
+    def without_residual(self) -> Self:
+        """The camera of this model alone."""
+        plain = copy.copy(self)
+        plain.residual = False
+        plain.range_process_ = plain.bearing_process_ = None
+        return plain
 
     def state(self) -> tuple[Arrays, Settings]:
         """State that `from_state` restores: arrays, and the rest as JSON can hold it."""
@@ -518,6 +536,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             above_sigma_m=float(settings.get("above_sigma_m", 0.0)),
         )
         model.sources_ = tuple(settings["sources"])
+        if not all(isinstance(source, str) for source in model.sources_):
+            raise TypeError("a source of boxes is no text")
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
         size = ParameterLayout(len(model.sources_), clock_groups.size).size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
@@ -539,34 +559,59 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
             raise ValueError("a parameter of the camera is not a number")
+        if clock_groups.ndim != 1 or not (model.fit_.prior_sigma > 0.0).all():
+            raise ValueError("what was assumed of the camera is not a number")
         model.n_features_in_ = 4
         model.typical_speed_mps_ = float(settings["typical_speed_mps"])
         model._prepare()
         processes = [
-            ResidualProcess(
-                np.array(arrays[f"{key}.inputs"], dtype=np.float64),
-                np.array(arrays[f"{key}.targets"], dtype=np.float64),
-                np.array(arrays[f"{key}.noise"], dtype=np.float64),
-                np.array(arrays[f"{key}.group"], dtype=np.int64),
-                length_scales=tuple(settings[key]["length_scales"]),
-                hyperparameters=Hyperparameters.from_list(settings[key]["hyperparameters"]),
-                log_error=LogError(
-                    np.array(arrays[f"{key}.time"], dtype=np.float64),
-                    np.array(arrays[f"{key}.direction"], dtype=np.float64),
-                    np.array(arrays.get(f"{key}.log", arrays[f"{key}.group"]), dtype=np.int64),
-                    model.fit_.noise.correlated_m,
-                    model.fit_.noise.correlation_time_s,
-                    model.fit_.noise.heave_m / model.camera_.height_m if key == "range" else 0.0,
-                )
-                if f"{key}.time" in arrays
-                else None,
-            )
+            _restored_process(key, arrays, settings[key], model.fit_, model.camera_.height_m)
             if key in settings
             else None
             for key in ("range", "bearing")
         ]
         model.range_process_, model.bearing_process_ = processes
         return model
+
+
+def _restored_process(
+    key: str, arrays: Arrays, settings: Settings, fit: CameraFit, height_m: float
+) -> ResidualProcess:
+    """The residual in range or bearing from a model's state.
+
+    Raises:
+        LookupError: A part is missing.
+        ValueError: A part does not fit the others, or is not a number.
+    """
+    length_scales = tuple(float(scale) for scale in settings["length_scales"])
+    hyperparameters = Hyperparameters.from_list(settings["hyperparameters"])
+    n, dimensions = len(arrays[f"{key}.targets"]), len(hyperparameters.length_scales)
+
+    def part(name: str, *shape: int) -> FloatArray:
+        return numbers_of_shape(arrays[f"{key}.{name}"], f"{key}.{name}", (n, *shape))
+
+    if dimensions != _INPUTS or len(length_scales) != _INPUTS:
+        raise ValueError(f"the residual in {key} is of {dimensions} inputs, not of {_INPUTS}")
+    group = part("group").astype(np.int64)
+    log_error = None
+    if f"{key}.time" in arrays:
+        log_error = LogError(
+            part("time"),
+            part("direction", 2),
+            part("log").astype(np.int64) if f"{key}.log" in arrays else group,
+            fit.noise.correlated_m,
+            fit.noise.correlation_time_s,
+            fit.noise.heave_m / height_m if key == "range" else 0.0,
+        )
+    return ResidualProcess(
+        part("inputs", _INPUTS),
+        part("targets"),
+        part("noise"),
+        group,
+        length_scales=length_scales,
+        hyperparameters=hyperparameters,
+        log_error=log_error,
+    )
 
 
 @dataclass(frozen=True, eq=False)

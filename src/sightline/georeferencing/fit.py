@@ -26,6 +26,7 @@ from sightline.georeferencing.models import (
     control_landmarks,
     model_type,
 )
+from sightline.georeferencing.stages import fit_in_stages
 from sightline.georeferencing.support import Support
 from sightline.types import BoolArray, Boxes, ControlPoints, FloatArray, Horizons
 
@@ -47,6 +48,7 @@ class FitInputs:
         landmarks: Pixels whose place is known roughly.
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
+        statements: Sentences for people on what was left out of the logs.
         name: Begins messages: the scene file.
     """
 
@@ -60,6 +62,7 @@ class FitInputs:
     static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     asked: Mapping[str, int] = field(default_factory=dict)
+    statements: tuple[str, ...] = ()
     name: str = "the scene"
 
     def without(self, recording: str) -> FitInputs:
@@ -73,6 +76,9 @@ class FitInputs:
             static_intervals={
                 name: own for name, own in self.static_intervals.items() if name != recording
             },
+            statements=tuple(
+                said for said in self.statements if not said.startswith(f"Recording {recording}:")
+            ),
         )
 
 
@@ -267,7 +273,8 @@ def _fit_once(
     if level_m is None and inputs.tidal and len(pairs):
         level_m = float(np.median(pairs.water_level_m))
     above_m = pairs.water_level_m - (level_m or 0.0)
-    model = kind.fit(
+    staged = fit_in_stages(
+        kind,
         Observations(
             correspondences=pairs,
             image_size_px=inputs.image_size_px,
@@ -283,10 +290,14 @@ def _fit_once(
         ),
         seed=settings.seed,
     )
+    model, pairs, above_m = staged.model, pairs[staged.rows], above_m[staged.rows]
     has_camera = model.camera is not None
     boxes = pairs.boxes.xyxy_px
     placed = model.locate(boxes, pairs.boxes.source, above_m)
     report = fit_report(kind.name, model, pairs, placed.east_north_m, len(control))
+    report = replace(
+        report, statements=(*inputs.statements, *staged.statements, *report.statements)
+    )
     if level_m is not None and has_camera:
         said = f"The height of the camera is that over a water level of {level_m:.2f} m."
         report = replace(report, statements=(*report.statements, said))

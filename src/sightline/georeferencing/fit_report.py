@@ -262,13 +262,13 @@ def _statements(
     if unknown:
         out.append(
             f"The data does not determine {', '.join(unknown)}: what is assumed of an ordinary "
-            "camera decides, and positions away from the training boxes are as unsure as stated."
+            "camera decides, and positions away from the training boxes are unsurer for it."
         )
     if fitted.noise.heave_m > 0.0:
         share = fitted.noise.heave_m / fitted.camera.height_m
         out.append(
             f"The camera rises and falls by {fitted.noise.heave_m:.2f} m (standard deviation), and "
-            f"with it all ranges by {100.0 * share:.1f} %; the ellipses answer for it."
+            f"with it all ranges by {100.0 * share:.1f} %; that is part of the stated uncertainty."
         )
     if fitted.starts_agreeing < 0.5 * fitted.starts:
         out.append(

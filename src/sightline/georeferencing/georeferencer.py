@@ -45,6 +45,9 @@ _OLD_NAMES = {
     "height_log_sigma": "log_height_sigma",
 }
 """Settings of release 0.1, and their names now."""
+_LARGEST_PX = 1_000_000
+_TRIED_OUT = ((0.1, 0.5, 0.2, 0.6), (0.4, 0.6, 0.6, 0.8), (0.7, 0.8, 0.75, 0.9))
+"""Corners of boxes, as shares of the picture."""
 _DAMAGE = (
     ArithmeticError,
     AttributeError,
@@ -374,9 +377,15 @@ def load_model(path: str | os.PathLike[str], *, model: ModelType | None = None) 
     """
     content, tensors = read_model_file(path)
     try:
-        return _build(content, tensors, model)
+        loaded = _build(content, tensors, model)
+        # Boxes go through all that was stored; one alone, or four, would fit many a wrong shape.
+        boxes = np.tile(loaded.image_size_px, 2) * np.array(_TRIED_OUT)
+        with np.errstate(all="ignore"):
+            loaded.regressor.locate(boxes, None, np.zeros(len(boxes)))
+            loaded.regressor.locate(boxes[:1], None, np.zeros(1))
     except (*_DAMAGE, SightlineError) as error:
         raise damaged(path, error) from error
+    return loaded
 
 
 def _build(
@@ -386,13 +395,18 @@ def _build(
     prefix = "regressor."
     arrays = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
     width, height = (int(v) for v in content["image_size_px"])
+    if not 1 <= min(width, height) <= max(width, height) <= _LARGEST_PX:
+        raise ValueError(f"its pictures are of {width} x {height} px")
     latitude, longitude = (float(v) for v in content["plane"])
+    support = np.asarray(tensors["support"], dtype=np.float64).reshape(-1, 3)
+    if not np.isfinite(support).all():
+        raise ValueError("its support is not a number")
     return Georeferencer(
         model=content["model"],
         regressor=kind.load(arrays, _settings(content)),
         plane=LocalPlane(latitude, longitude),
         image_size_px=(width, height),
-        support=Support(np.asarray(tensors["support"], dtype=np.float64).reshape(-1, 3)),
+        support=Support(support),
         report=FitReport.from_dict(content["report"]),
         horizon_px=_horizon(content.get("horizon_px")),
         moving=bool(content.get("moving", False)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +16,7 @@ from safetensors.numpy import save
 
 from sightline.atomic import atomic_path
 from sightline.errors import ModelFileError, no_model_file
+from sightline.types import FloatArray
 
 FORMAT = "sightline-model"
 FORMAT_VERSION = 2
@@ -22,6 +24,7 @@ FORMAT_VERSION = 2
 
 _READABLE = (1, FORMAT_VERSION)
 _LENGTH_BYTES = 8
+_LONGEST_REASON = 300
 
 
 def write_model_file(
@@ -86,7 +89,9 @@ def read_model_file(
             "wrote it"
         )
     try:
-        content = json.loads(metadata["content"])
+        content = json.loads(
+            metadata["content"], parse_constant=_no_number, parse_float=_finite_number
+        )
         if not isinstance(content, dict):
             raise TypeError("its content is no table of keys and values")
     except (LookupError, RecursionError, TypeError, ValueError) as error:
@@ -94,11 +99,41 @@ def read_model_file(
     return {**content, "format_version": int(version)}, tensors
 
 
+def _no_number(text: str) -> float:
+    raise ValueError(f"{text} is no number")
+
+
+def _finite_number(text: str) -> float:
+    value = float(text)
+    return value if math.isfinite(value) else _no_number(text)
+
+
 def damaged(path: str | os.PathLike[str], error: Exception) -> ModelFileError:
     """One-line message about a model file of which a part does not fit the others."""
     # What libraries say about an array can run over several lines.
     reason = " ".join(str(error).split())
+    if len(reason) > _LONGEST_REASON:
+        reason = f"{reason[:_LONGEST_REASON]}..."
     return ModelFileError(f"{path}: is damaged ({reason}); fit the model again")
+
+
+def numbers_of_shape(array: NDArray[Any], name: str, shape: tuple[int, ...]) -> FloatArray:
+    """An array of a model file as float64.
+
+    Args:
+        array: The array.
+        name: Its name, for the message.
+        shape: What it must have.
+
+    Raises:
+        ValueError: It is of another shape, or holds what is no finite number.
+    """
+    if array.shape != shape:
+        raise ValueError(f"{name} is of shape {array.shape}, not {shape}")
+    values = np.array(array, dtype=np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name} holds what is no number")
+    return values
 
 
 def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
@@ -107,7 +142,11 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
     try:
         with safe_open(path, framework="numpy") as file:
             return file.metadata() or {}, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, TypeError, LookupError, AttributeError) as error:
+        # Types of numbers that NumPy has not are told by a missing attribute.
+        reason = " ".join(str(error).split())
+        if len(reason) > _LONGEST_REASON:
+            reason = f"{reason[:_LONGEST_REASON]}..."
         raise ModelFileError(
-            f"{path}: is damaged or no model of sightline ({error}); fit the model again"
+            f"{path}: is damaged or no model of sightline ({reason}); fit the model again"
         ) from error

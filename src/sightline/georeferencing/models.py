@@ -16,7 +16,7 @@ from sightline._plugins import loaded, registered
 from sightline.camera.calibration import CameraFit
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
-from sightline.camera.priors import CameraPrior, SourcePrior
+from sightline.camera.priors import HEAVE_M, CameraPrior, PixelNoise, SourcePrior
 from sightline.errors import InputError, unknown_name
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Correspondences
@@ -159,6 +159,32 @@ class CameraModelType:
 
     def fit(self, observations: Observations, *, seed: int = 0) -> CameraRegressor:
         """See `ModelType`."""
+        return self._fitted(observations, seed, residual=self.residual)
+
+    def first(self, observations: Observations, *, seed: int = 0) -> CameraRegressor:
+        """The camera under the usual noise, which is taken as known and independent.
+
+        Few wrong fixes move it little, whatever they are off.
+
+        Args:
+            observations: What there is to learn from.
+            seed: Of whatever is random.
+
+        Raises:
+            FitError: There is too little.
+        """
+        heave_m = HEAVE_M if observations.moving else 0.0
+        noise = PixelNoise(correlated_m=0.0, heave_m=heave_m)
+        return self._fitted(observations, seed, residual=False, noise=noise)
+
+    def _fitted(
+        self,
+        observations: Observations,
+        seed: int,
+        *,
+        residual: bool,
+        noise: PixelNoise | None = None,
+    ) -> CameraRegressor:
         control, far = observations.control_points, observations.landmarks
         known = Landmarks(
             np.concatenate([control.pixel_px, far.pixel_px]),
@@ -169,9 +195,10 @@ class CameraModelType:
             observations.image_size_px,
             # On a vessel the waves that lift the camera while a target passes a place would be
             # learned as of the place.
-            residual=self.residual and not observations.moving,
+            residual=residual and not observations.moving,
             prior=observations.prior,
             source_priors=observations.source_priors,
+            noise=noise,
             position_known=observations.position_known,
             heaving=observations.moving,
             starts=8 if observations.position_known else 24,

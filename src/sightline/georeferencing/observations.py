@@ -41,6 +41,10 @@ class CameraObservations:
         bias_only: (N,) bool, boxes of which the residual process learns nothing: what a detector
             makes of a boat differs from what people do, in size as in place, and its boxes are
             there to learn its lower edge by. Absent: it learns of all.
+        fix_sigma_m: (N,) float64, standard deviation of each place that a gap of its log makes.
+            Absent: none.
+        gap_s: (N, 2) float64, times of the fixes on either side; what a gap makes of the places in
+            it is alike. Absent or NaN: every place is in a gap of its own.
         landmarks: Control points and landmarks.
 
     Raises:
@@ -57,6 +61,8 @@ class CameraObservations:
     time_s: FloatArray = field(default_factory=_absent)
     above_m: FloatArray = field(default_factory=_absent)
     bias_only: BoolArray = field(default_factory=_absent)
+    fix_sigma_m: FloatArray = field(default_factory=_absent)
+    gap_s: FloatArray = field(default_factory=_absent)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
 
     def __post_init__(self) -> None:
@@ -75,6 +81,8 @@ class CameraObservations:
             "time_s": _column(self.time_s, np.full(n, np.nan), np.float64),
             "above_m": _column(self.above_m, np.zeros(n), np.float64),
             "bias_only": _column(self.bias_only, np.zeros(n), np.bool_),
+            "fix_sigma_m": _column(self.fix_sigma_m, np.zeros(n), np.float64),
+            "gap_s": _column(self.gap_s, np.full((n, 2), np.nan), np.float64),
         }
         for name, values in columns.items():
             if len(values) != n:
@@ -120,6 +128,8 @@ class CameraObservations:
             time_s=pairs.boxes.time_utc_s,
             above_m=np.zeros(len(pairs)) if above_m is None else above_m,
             bias_only=pairs.bias_only,
+            fix_sigma_m=pairs.fix_sigma_m,
+            gap_s=pairs.fix_time_utc_s,
             landmarks=landmarks or Landmarks.none(),
         )
 
@@ -154,11 +164,12 @@ class CameraObservations:
             source=np.concatenate([source, np.full(m, NO_SOURCE)]).astype(np.int64),
             group=np.concatenate([self.group, int(self.group.max(initial=-1)) + 1 + alone]),
             velocity_mps=np.concatenate([self.velocity_mps, np.zeros((m, 2))]),
-            sigma_m=np.concatenate([np.zeros(n), known.sigma_m]),
+            sigma_m=np.concatenate([self.fix_sigma_m, known.sigma_m]),
             time_s=np.concatenate([self.time_s, np.full(m, np.nan)]),
             width_px=np.concatenate([boxes[:, 2] - boxes[:, 0], np.full(m, np.nan)]),
             above_m=np.concatenate([self.above_m, np.zeros(m)]),
             log=np.concatenate([self.log, int(self.log.max(initial=-1)) + 1 + alone]),
+            gap_s=np.concatenate([self.gap_s, np.full((m, 2), np.nan)]),
         )
 
 

@@ -93,7 +93,7 @@ def learn_size(scene: Scene, georeferencer: Georeferencer) -> TargetSize:
     camera = camera_of(georeferencer).camera_
     if not any(r.boxes_path is not None and r.fixes_path is not None for r in scene.recordings):
         return usual
-    pairs = scene_correspondences(scene, georeferencer.plane)
+    pairs = scene_correspondences(scene, georeferencer.plane).certain()
     if len(pairs) < _FEWEST_BOXES:
         return usual
     east, north = (

@@ -28,9 +28,11 @@ from sightline.pipeline.track import (
     states,
 )
 from sightline.platform import Platform
+from sightline.plausibility import check_near
 from sightline.progress import Progress
 from sightline.scene import Scene
 from sightline.scene.correspondences import collect
+from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
@@ -85,7 +87,11 @@ def evaluate(
     if fixes is None:
         raise InputError("tracks are scored against a log; give fixes")
     log = fixes if isinstance(fixes, Fixes) else formats.read_fixes(fixes, mmsi=mmsi)
-    return evaluate_tracks(what, log, track_id=track_id, delta_s=delta_s)
+    tracks = list(what)
+    report = evaluate_tracks(tracks, log, track_id=track_id, delta_s=delta_s)
+    where = "the log" if isinstance(fixes, Fixes) else str(fixes)
+    check_near(log, tracks[0].latitude_deg[0], tracks[0].longitude_deg[0], where, "the tracks")
+    return report
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +197,8 @@ def score(
             parts[one.recording] = pairs
     if not parts:
         raise InputError(
-            "no box falls between two fixes of its log that are near enough to each other; check "
-            "the clocks and the log"
+            "no box falls between two fixes of its log that are near enough to each other for a "
+            f"score ({LARGEST_GAP_S:g} s); check the clocks, and that the log is not too sparse"
         )
     return summarise(parts, delta_s=delta_s)
 

@@ -29,15 +29,18 @@ from sightline.progress import Progress
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_static_intervals
-from sightline.scene.correspondences import levels_at, scene_correspondences
+from sightline.scene.correspondences import levels_at, on_leaps, scene_correspondences
 from sightline.scene.detections import SceneDetections, lower_edges_of
-from sightline.synchronisation import check_overlap
-from sightline.types import Boxes, FloatArray, IntArray
+from sightline.synchronisation import LARGEST_GAP_S, check_overlap
+from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 CORRELATION_TIME_S = 1.5
 """Boxes that teach are at least so far apart: a detector's errors last as long."""
 
 MOST_A_RECORDING = 120
+
+# Between fixes that are further apart a boat has turned, and nobody knows where.
+_SPARSE_S = 15.0
 
 # Detectors see a hull, not where it meets the water: their boxes end too high by a few pixels, as
 # a rule. Where the edge of the water is seen, it tells how many; boxes alone tell next to nothing,
@@ -189,7 +192,25 @@ def associate_scene(
     try:
         return associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s)
     except FitError as error:
-        raise FitError(f"{scene.path}: {error}") from error
+        raise FitError(f"{scene.path}: {error}{_sparse(watches)}") from error
+
+
+def _sparse(watches: Sequence[RecordingObservations]) -> str:
+    """What is to be said of logs that hardly say how their vessels move."""
+    gaps = []
+    for watch in watches:
+        first, last = watch.seen.time_utc_s.min(), watch.seen.time_utc_s.max()
+        for path in watch.paths:
+            times = path.time_utc_s
+            gaps.append(np.diff(times[(times >= first) & (times <= last)]))
+    apart_s = np.concatenate(gaps)
+    if apart_s.size and np.median(apart_s) < _SPARSE_S:
+        return ""
+    often = f"a fix every {np.median(apart_s):.0f} s" if apart_s.size else "less than two fixes"
+    return (
+        f"; while boxes are seen there is {often}, which says little of how a vessel moves: a log "
+        "with a fix every 10 s, or boxes that are drawn, tell more"
+    )
 
 
 def _over_water(
@@ -237,6 +258,7 @@ def fit_association(
         tidal=scene.tidal,
         static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
+        statements=_on_leaps(association, scene, plane),
         name=str(scene.path),
     )
     settings = FitSettings(
@@ -271,6 +293,16 @@ def fit_association(
         statements=(*more, *fitted.report.statements),
     )
     return replace(fitted, report=report)
+
+
+def _on_leaps(association: Association, scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
+    """Sentences on fixes that leap off the path of a log; those of a feed tell course and speed."""
+    said = []
+    for watch in association.watches:
+        recording = scene[watch.name]
+        if len(recording.logs()) == 1:
+            said.append(on_leaps(recording, watch.seen.time_utc_s, plane))
+    return tuple(one for one in said if one)
 
 
 def update_scene(
@@ -340,7 +372,7 @@ def update_scene(
         source_priors = _measured(pairs, association.camera, seen.lower_edges if seen else None)
         more = association.statements
     static_intervals = scene_static_intervals(scene, progress)
-    now = detect_camera_change(old, pairs, static_intervals)
+    now = detect_camera_change(old, pairs.certain(), static_intervals)
     prior = replace(
         prior_of(old, turned=now.turned),
         bias_px=usual.bias_px,
@@ -375,6 +407,7 @@ def recognised_correspondences(
 ) -> Correspondences:
     """Correspondences of the associated boxes, thinned."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
+    sigmas, around = [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
         watch = by_name[found.recording]
@@ -388,6 +421,9 @@ def recognised_correspondences(
         vessels.append(np.full(int(known.sum()), found.vessel))
         places.append(at.east_north_m[known])
         velocities.append(at.velocity_mps[known])
+        # What short gaps leave open is told by the noise that the fit estimates.
+        sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
+        around.append(at.fix_time_utc_s[known])
         if scene.tidal:
             levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
     return Correspondences(
@@ -399,7 +435,13 @@ def recognised_correspondences(
         plane=plane,
         vessel=np.concatenate(vessels),
         water_level_m=np.concatenate([np.empty(0), *levels]),
+        fix_sigma_m=np.concatenate(sigmas),
+        fix_time_utc_s=np.concatenate(around),
     )
+
+
+def _long(fix_time_utc_s: FloatArray) -> BoolArray:
+    return np.asarray(np.diff(fix_time_utc_s, axis=1)[:, 0] > LARGEST_GAP_S)
 
 
 def _measured(

@@ -6,6 +6,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +18,7 @@ from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, det
 from sightline.detection.run import usable
 from sightline.errors import BrokenOffError, InputError, SightlineError
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.tally import Tally
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
 
 T = TypeVar("T")
@@ -105,7 +107,10 @@ def is_stream(source: str | os.PathLike[str]) -> bool:
 
 
 def read_table(
-    path: str | os.PathLike[str], stop: threading.Event | None = None
+    path: str | os.PathLike[str],
+    image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
+    stop: threading.Event | None = None,
 ) -> tuple[Iterator[Boxes], int]:
     """Read the boxes of a table in chunks, in the order of time.
 
@@ -113,6 +118,8 @@ def read_table(
 
     Args:
         path: The table.
+        image_size_px: Width and height of the picture, for boxes in shares of it.
+        tally: Counts rows and boxes, and what is left out; None: a warning tells of it.
         stop: Is set by whoever no longer wants it.
 
     Returns:
@@ -123,7 +130,9 @@ def read_table(
         StoppedError: ``stop`` was set before the table had been looked at.
     """
     ordered, alone, last, highest_id = True, True, -np.inf, NO_TRACK
-    for chunk in formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True):
+    read = partial(formats.iter_boxes, path, skip_empty=True, image_size_px=image_size_px)
+    # It is read again below, and then tells what it left out.
+    for chunk in read(_CHUNK_ROWS, tally=Tally(path)):
         stopping.check(stop)
         if not len(chunk):
             continue
@@ -135,8 +144,8 @@ def read_table(
         last = float(moment[-1])
     if not ordered:
         # Sorted by track, or not at all: only the whole table can be put in order.
-        return from_memory(formats.read_boxes(path, skip_empty=True))
-    chunks = formats.iter_boxes(path, chunk_rows=_CHUNK_ROWS, skip_empty=True)
+        return from_memory(Boxes.concatenate(list(read(tally=tally))))
+    chunks = read(_CHUNK_ROWS, tally=tally)
     if alone and highest_id == NO_TRACK:
         return (_as_one_target(chunk) for chunk in chunks), 1
     return chunks, highest_id
@@ -266,6 +275,29 @@ def whole_moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:
             yield boxes[:last]
         waiting = [boxes[last:]]
     yield from waiting
+
+
+def groups_of_moments(batches: Iterable[Boxes], count: int) -> Iterator[Boxes]:
+    """Regroup batches of boxes into so many moments each, in the order of time.
+
+    Which boxes come together does not depend on the batches that they came in, so that what is
+    computed of a group does not either, to the last digit.
+    """
+    waiting: list[Boxes] = []
+    moments_waiting = 0
+    for boxes in whole_moments(batches):
+        begins = np.flatnonzero(np.diff(boxes.time_utc_s, prepend=-np.inf) > 0.0)
+        start = 0
+        for full in range(count - moments_waiting, begins.size + 1, count):
+            stop = int(begins[full]) if full < begins.size else len(boxes)
+            yield Boxes.concatenate([*waiting, boxes[start:stop]])
+            waiting, start = [], stop
+            moments_waiting = -full
+        moments_waiting += begins.size
+        if start < len(boxes):
+            waiting.append(boxes[start:])
+    if waiting:
+        yield Boxes.concatenate(waiting)
 
 
 def moments(batches: Iterable[Boxes]) -> Iterator[Boxes]:

@@ -26,11 +26,11 @@ from sightline.pipeline.sources import (
     fit_for_use,
     follows_on_earth,
     from_memory,
+    groups_of_moments,
     is_table,
     make_detector,
     moments,
     read_table,
-    whole_moments,
     with_times,
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
@@ -64,6 +64,8 @@ _MOST_UNSORTED = 10_000
 _LEAST_INTERVAL_S = 0.001
 _MOST_FORECASTS = 100_000
 _LOOKED_AT_BOXES = 1000
+# Many at once cost less than each alone; a stream waits for them, and its targets far longer.
+_LOCATED_MOMENTS = 64
 
 
 @dataclass(frozen=True)
@@ -251,7 +253,9 @@ def iter_tracks(
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
         batches, highest_id = (
-            from_memory(source) if isinstance(source, Boxes) else read_table(source, stop)
+            from_memory(source)
+            if isinstance(source, Boxes)
+            else read_table(source, model.image_size_px, stop=stop)
         )
         history = CameraHistory(horizons=horizons, water=water)
         dated = (with_times(boxes, clock, model, where) for boxes in ending.until(batches))
@@ -300,9 +304,9 @@ def follow(
 ) -> Iterator[Track]:
     """Tracks of boxes, each once its target has gone.
 
-    The boxes of a track are placed together when it has ended, whatever batches they came in: the
-    last digits of a position depend on what else is in the batch, and what the smoother makes of
-    them is centimetres where a target is far away. Trackers are given the batches' own positions.
+    A box is located once: where the tracker needs its place, with those of the moments around it,
+    else with the others of its track when that has ended. Both are the same whatever batches they
+    came in, since the last digits of a position depend on what is located with it.
 
     Args:
         batches: In the order of time from one to the next.
@@ -327,8 +331,7 @@ def follow(
         ended = book.ended(compensated)
     count = 0
     for number, own in ended:
-        assert isinstance(own, ObservedBoxes), "the book hands on the rows that it was given"
-        boxes = model.place_compensated(own)
+        boxes = own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
         made = smooth_boxes(
             boxes,
             smoother,
@@ -370,8 +373,11 @@ def _forecast(
 
 def _followed(
     batches: Iterator[ObservedBoxes], model: Georeferencer, first_s: list[float], tracker: Tracker
-) -> Iterator[ObservedBoxes]:
+) -> Iterator[Boxes]:
     """Boxes with the track ids that a tracker assigns, in the order of time.
+
+    They are located where the tracker needed it; what follows in the image needs no places, and
+    gives the boxes back as they were observed.
 
     Args:
         batches: In the order of time from one to the next, compensated.
@@ -380,17 +386,16 @@ def _followed(
         tracker: Gives the ids.
     """
     several = tracker.follow if isinstance(tracker, TargetTracker) else None
-    for boxes in whole_moments(batches):
+    for boxes in groups_of_moments(batches, _LOCATED_MOMENTS):
         assert isinstance(boxes, ObservedBoxes), "parts of such have their state"
-        # What follows in the image needs no places.
         located = boxes if isinstance(tracker, ImageTracker) else model.place_compensated(boxes)
         if several is not None:
             first_s += _first_times(boxes, _LOOKED_AT_BOXES - len(first_s))
-            yield _still_observed(several(located), boxes)
+            yield several(located)
             continue
         for given in moments([located]):
             first_s += _first_times(given, _LOOKED_AT_BOXES - len(first_s))
-            yield _still_observed(_given_back(tracker.update(given), given), boxes)
+            yield _given_back(tracker.update(given), given)
 
 
 def _first_times(boxes: Boxes, most: int) -> list[float]:
@@ -399,20 +404,23 @@ def _first_times(boxes: Boxes, most: int) -> list[float]:
 
 
 def _given_back(kept: Boxes, given: Boxes) -> Boxes:
-    """Boxes that a tracker gave back, those that it was given."""
-    if isinstance(kept, LocatedBoxes):
+    """Boxes that a tracker gave back: rows of those that it was given, with its ids.
+
+    Raises:
+        InputError: One of them was not given.
+    """
+    if isinstance(kept, BoxesWith):
         return kept
     same = (kept.xyxy_px[:, None] == given.xyxy_px[None]).all(axis=2)
-    if not (same.any(axis=1) & np.isin(kept.time_utc_s, given.time_utc_s)).all():
+    same &= kept.time_utc_s[:, None] == given.time_utc_s[None]
+    if not same.any(axis=1).all():
         raise InputError("the tracker gave back a box that it was not given; it only adds ids")
-    return kept
+    return given[np.argmax(same, axis=1)].with_columns(track_id=kept.track_id)
 
 
-def _still_observed(kept: Boxes, given: ObservedBoxes) -> ObservedBoxes:
-    """Boxes that a tracker gave back, with the state of the camera, which is one at a time."""
-    plain = kept.boxes if isinstance(kept, BoxesWith) else kept
-    rows = np.searchsorted(given.time_utc_s, plain.time_utc_s)
-    return ObservedBoxes.at(plain, given.state[rows])
+def _observed(boxes: Boxes) -> ObservedBoxes:
+    assert isinstance(boxes, ObservedBoxes), "the book hands on the rows that it was given"
+    return boxes
 
 
 class _OpenTracks:

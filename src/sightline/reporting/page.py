@@ -29,6 +29,7 @@ from sightline.evaluation.report import Matched, Report, TracksUsed, without_nan
 from sightline.geodesy import LocalPlane
 from sightline.reporting.plots import data_uri
 from sightline.synchronisation import LARGEST_GAP_S, distinct, synchronise
+from sightline.text import xml_text
 from sightline.types import Fixes, FloatArray, IntArray, PointKind, Track, ellipses, utc_text
 
 KNOTS_PER_MPS = 3600.0 / 1852.0
@@ -134,6 +135,8 @@ class ReportPage:
         figures: In their order.
         comparison: Models beside each other.
         made_utc_s: When the report was made; None: not said.
+        learned_from: Names of the reports whose recordings the model learned from: how well it
+            does elsewhere they do not tell, so none of them is the headline.
     """
 
     title: str
@@ -152,6 +155,7 @@ class ReportPage:
     figures: Sequence[PageFigure] = ()
     comparison: Comparison | None = None
     made_utc_s: float | None = None
+    learned_from: frozenset[str] = frozenset()
 
 
 def write_page(page: ReportPage, path: str | Path) -> None:
@@ -172,7 +176,8 @@ def write_page(page: ReportPage, path: str | Path) -> None:
 def render_page(page: ReportPage) -> str:
     """The page as HTML text that needs no other file."""
     script, style = _asset("report.js"), _asset("report.css")
-    return (
+    # What no page can hold is shown as such; a zero or an escape in a name is none of the markup.
+    return xml_text(
         _environment()
         .from_string(_asset("report.html.j2"))
         .render(
@@ -183,6 +188,7 @@ def render_page(page: ReportPage) -> str:
             style_hash=_integrity(style),
             version=version("sightline"),
             headline=_headline(page),
+            headlined=_headlined(page),
             statements={name: plain_statements(report) for name, report in page.reports.items()},
             map=_map(page),
             tracks=_track_rows(page),
@@ -251,19 +257,25 @@ def _about_coverage(report: Report) -> str:
     if n == 0:
         return "The positions state no uncertainty, so there is none to check."
     held = coverage.p95_with_log
-    share = f"The stated 95 % ellipses hold {percent(coverage.p95)} of the log's positions"
     if coverage.reference_sigma_m > 0.0:
-        share += (
-            f", {percent(held)} with the log's own error of "
-            f"{number(coverage.reference_sigma_m)} m in them"
+        share = (
+            f"With the log's own error of {number(coverage.reference_sigma_m)} m counted, the "
+            f"stated 95 % ellipses hold {percent(held)} of its positions"
         )
+    else:
+        share = f"The stated 95 % ellipses hold {percent(held)} of the log's positions"
     if n < _FEWEST_TO_JUDGE:
         return f"{share}; {n} positions are too few to judge them by."
     if held < 0.90:
-        return f"{share}: the error bars are too small. Do not rely on them."
-    if held > 0.98:
-        return f"{share}: the error bars are larger than they need to be."
-    return f"{share}: the error bars can be believed."
+        return f"{share}: they are too small. Do not rely on them."
+    if held <= 0.98:
+        return f"{share}: they can be believed."
+    if coverage.p95 > 0.98:
+        return f"{share}: they are larger than they need to be."
+    return (
+        f"{share}, and {percent(coverage.p95)} if it had none: they are not too small, and the log "
+        "is too inexact to say more."
+    )
 
 
 def _about_matched(matched: Matched) -> str:
@@ -307,9 +319,14 @@ class _Tile:
     note: str
 
 
+def _headlined(page: ReportPage) -> str | None:
+    """The name of the first report of what the model had not learned from."""
+    return next((name for name in page.reports if name not in page.learned_from), None)
+
+
 def _headline(page: ReportPage) -> list[_Tile]:
-    report = next(iter(page.reports.values()), None)
-    if report is None or report.ape.n == 0:
+    name = _headlined(page)
+    if name is None or (report := page.reports[name]).ape.n == 0:
         return []
     tiles = [
         _Tile("median error", _metres(report.ape.median), "half of the positions are nearer"),
@@ -341,6 +358,19 @@ class _TrackRow:
     speed_mps: float
     semi_major_m: float
     median_error_m: float
+    scored: bool
+
+
+def _target_log(page: ReportPage, recording: str, track: Track) -> Fixes | None:
+    """The log of a track, where that was taken for the logged target's; None of any other.
+
+    How far another vessel is from the one that kept the log is no error.
+    """
+    for report in page.reports.values():
+        used = report.recordings[recording].tracks if recording in report.recordings else None
+        if used is not None and track.track_id in used.used:
+            return page.fixes.get(recording)
+    return None
 
 
 def _track_rows(page: ReportPage) -> list[_TrackRow]:
@@ -350,7 +380,8 @@ def _track_rows(page: ReportPage) -> list[_TrackRow]:
             if not len(track):
                 continue
             axes = ellipses(track.covariance_m2, _PROBABILITY).semi_major_m
-            error = _errors(track, page.fixes.get(recording))
+            log = _target_log(page, recording, track)
+            error = _errors(track, log)
             rows.append(
                 _TrackRow(
                     recording=recording,
@@ -362,6 +393,7 @@ def _track_rows(page: ReportPage) -> list[_TrackRow]:
                     speed_mps=float(np.median(track.speed_mps)),
                     semi_major_m=_median(axes),
                     median_error_m=_median(error),
+                    scored=log is not None,
                 )
             )
     return rows
@@ -460,6 +492,8 @@ class _Map:
     has_boxes: bool
     has_tracks: bool
     has_log: bool
+    whole_logs: list[str]
+    extent: str
 
 
 def _map(page: ReportPage) -> _Map | None:
@@ -484,7 +518,7 @@ def _map(page: ReportPage) -> _Map | None:
             paths.append((f"track {track.track_id}", _path(thin.time_utc_s, places, math.inf)))
             apart = _apart(thin.covariance_m2, places)
             shapes.extend(_ellipses(thin.covariance_m2[apart], places[apart], each))
-            series.append(_series(name, thin, page.fixes.get(name)))
+            series.append(_series(name, thin, _target_log(page, name, track)))
         boxes = errors = ""
         if pairs is not None and len(pairs):
             places = np.column_stack([pairs.east_m, pairs.north_m])
@@ -520,7 +554,45 @@ def _map(page: ReportPage) -> _Map | None:
         has_boxes=any(recording.boxes for recording in recordings),
         has_tracks=any(recording.tracks for recording in recordings),
         has_log=any(recording.log for recording in recordings),
+        whole_logs=_whole_logs(page),
+        extent=_geographic_extent(page.plane, low, high),
     )
+
+
+def _whole_logs(page: ReportPage) -> list[str]:
+    """The paths of the logs from end to end, each once; recordings often share one.
+
+    Beside them a reader sees the way in and out, and so where he is.
+    """
+    distinct_logs: list[Fixes] = []
+    for fixes in page.fixes.values():
+        if not any(
+            np.array_equal(fixes.time_utc_s, other.time_utc_s)
+            and np.array_equal(fixes.latitude_deg, other.latitude_deg)
+            for other in distinct_logs
+        ):
+            distinct_logs.append(fixes)
+    paths = []
+    for fixes in distinct_logs:
+        log = distinct(fixes)
+        log = log[:: max(math.ceil(len(log) * len(distinct_logs) / _MOST_POINTS), 1)]
+        usual_s = float(np.median(np.diff(log.time_utc_s))) if len(log) > 1 else 0.0
+        places = np.column_stack(page.plane.to_plane(log.latitude_deg, log.longitude_deg))
+        paths.append(_path(log.time_utc_s, places, max(LARGEST_GAP_S, 3.0 * usual_s)))
+    return [path for path in paths if path]
+
+
+def _geographic_extent(plane: LocalPlane, low: FloatArray, high: FloatArray) -> str:
+    """What the first view shows, in latitude and longitude."""
+    latitude, longitude = plane.to_geographic(*np.stack([low, high], axis=1))
+    return (
+        f"{_degrees(latitude[0], 'N', 'S')} to {_degrees(latitude[1], 'N', 'S')}, "
+        f"{_degrees(longitude[0], 'E', 'W')} to {_degrees(longitude[1], 'E', 'W')}"
+    )
+
+
+def _degrees(angle_deg: float, positive: str, negative: str) -> str:
+    return f"{abs(angle_deg):.4f}° {positive if angle_deg >= 0.0 else negative}"
 
 
 def _log_in(

@@ -21,6 +21,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
@@ -30,6 +31,7 @@ from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.evaluation.metrics import ScoredPairs, by_range, covered, line_of_sight_errors
 from sightline.synchronisation import LARGEST_GAP_S
+from sightline.text import figure_text
 from sightline.types import BoolArray, FloatArray, IntArray, ellipses
 
 TRUTH_COLOUR = "#d55e00"
@@ -84,7 +86,7 @@ def map_figure(panels: Sequence[MapPanel], *, probability: float = 0.95) -> Figu
     stated = False
     for axes, panel in zip(grid.flat, panels, strict=False):
         stated |= _draw_map(axes, panel, probability)
-        axes.set_title(panel.title, loc="left", fontsize=11, color=_INK)
+        _title(axes, panel.title, fontsize=11)
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
@@ -209,7 +211,7 @@ def error_against_range(series: Mapping[str, ScoredPairs]) -> Figure:
             lw=2.0,
             ms=6,
             mec="white",
-            label=f"median of {name}",
+            label=f"median of {figure_text(name)}",
         )
     low, high = axes.get_xlim()
     reach = np.linspace(max(low, 0.0), high, 200)
@@ -231,7 +233,7 @@ def error_against_range(series: Mapping[str, ScoredPairs]) -> Figure:
     axes.set_ylabel("error, m")
     _tidy(axes)
     if series:
-        axes.legend(frameon=False, loc="upper left")
+        _plain(axes.legend(frameon=False, loc="upper left"))
     return figure
 
 
@@ -258,7 +260,8 @@ def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
             continue
         colour = SERIES_COLOURS[k % len(SERIES_COLOURS)]
         style = _SERIES_STYLES[k % len(_SERIES_STYLES)]
-        axes.plot(stated, held, style, color=colour, lw=2.0, label=f"{name} (n = {len(pairs):,})")
+        label = f"{figure_text(name)} (n = {len(pairs):,})"
+        axes.plot(stated, held, style, color=colour, lw=2.0, label=label)
         marks = np.array([0.5, 0.95])
         axes.plot(marks, covered(pairs, marks), "o", color=colour, ms=7, mec="white")
     axes.text(0.97, 0.05, "overconfident", color=_FAINT, ha="right", fontsize=10)
@@ -272,7 +275,7 @@ def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
     axes.set_ylabel("share of true positions inside")
     _tidy(axes)
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.9))
+        _plain(axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.9)))
     return figure
 
 
@@ -290,7 +293,7 @@ def error_over_time(recordings: Mapping[str, ScoredPairs], *, probability: float
     grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
     for axes, (name, pairs) in zip(grid.flat, shown.items(), strict=False):
         _draw_over_time(axes, pairs, probability)
-        axes.set_title(name, loc="left", fontsize=10, color=_INK)
+        _title(axes, name, fontsize=10)
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         _tidy(axes)
     for axes in grid.flat[len(shown) :]:
@@ -460,6 +463,20 @@ def _figure(width_in: float, height_in: float) -> Figure:
 
 def _dot(colour: str, label: str) -> Line2D:
     return Line2D([], [], color=colour, marker="o", ms=6, ls="", mec="white", label=label)
+
+
+def _title(axes: Axes, name: str, fontsize: int) -> None:
+    """A name of the user's as the title of a panel; a dollar sign in it is no formula."""
+    title = axes.set_title(figure_text(name), loc="left", fontsize=fontsize, color=_INK)
+    title.set_parse_math(False)
+    title.set_usetex(False)
+
+
+def _plain(legend: Legend) -> None:
+    """Show the names in a legend as they are; Matplotlib reads formulas between dollar signs."""
+    for text in legend.get_texts():
+        text.set_parse_math(False)
+        text.set_usetex(False)
 
 
 def _tidy(axes: Axes) -> None:

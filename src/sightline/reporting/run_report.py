@@ -41,6 +41,7 @@ from sightline.types import NO_FRAME
 LEFT_OUT = "each recording left out"
 LEARNED_FROM = "recordings learned from"
 _SINGLE = "single boxes"
+_LONGEST_NAME = 60
 
 _FILES = {
     "report": "report.html",
@@ -95,6 +96,7 @@ def run_page(result: RunResult) -> ReportPage:
         warnings=warnings,
         figures=_figures(positions, reports),
         made_utc_s=time.time(),
+        learned_from=frozenset(name for name in reports if name.endswith(LEARNED_FROM)),
     )
 
 
@@ -337,7 +339,8 @@ def _file_names(names: Iterable[str]) -> list[str]:
     out: list[str] = []
     for name in names:
         plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name).lstrip(".")
-        plain = plain or "recording"
+        # What a name and an ending may have in bytes, in any script.
+        plain = plain[:_LONGEST_NAME] or "recording"
         same = (f"{plain}-{i}" for i in itertools.count(2))
         out.append(next(one for one in itertools.chain([plain], same) if one not in out))
     return out

@@ -10,12 +10,16 @@ from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitInputs
+from sightline.logged_motion import LARGEST_SIGMA_M, LONGEST_GAP_S
 from sightline.platform import to_bow, turned
 from sightline.progress import Progress
+from sightline.reference_trajectory import ReferenceStates, ReferenceTrajectory, without_leaps
 from sightline.scene.camera_state import scene_horizons, scene_static_intervals
 from sightline.scene.scene import Recording, Scene
-from sightline.synchronisation import LARGEST_GAP_S, check_overlap, synchronise
-from sightline.types import Boxes, FloatArray
+from sightline.synchronisation import check_overlap, synchronise
+from sightline.types import Boxes, Fixes, FloatArray, utc_text
+
+_MOST_NAMED = 5
 
 
 def collect(
@@ -61,7 +65,41 @@ def collect(
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         asked=asked,
+        statements=_on_leaps(scene, pairs.plane),
         name=str(scene.path),
+    )
+
+
+def _on_leaps(scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
+    said = [
+        on_leaps(recording, recording.boxes().time_utc_s, plane)
+        for recording in scene.recordings
+        if recording.boxes_path is not None and recording.fixes_path is not None
+    ]
+    return tuple(one for one in said if one)
+
+
+def on_leaps(recording: Recording, time_utc_s: FloatArray, plane: LocalPlane) -> str:
+    """Sentence on the fixes that leap off the path of a recording's log; empty without any.
+
+    Args:
+        recording: One that has a log.
+        time_utc_s: (N,) POSIX seconds of its boxes; fixes before and after them do not count.
+        plane: Near the log.
+    """
+    known = time_utc_s[np.isfinite(time_utc_s)]
+    times = without_leaps(recording.fixes(), plane)[1].time_utc_s
+    if not known.size or not times.size:
+        return ""
+    times = times[(times >= known.min()) & (times <= known.max())]
+    if not times.size:
+        return ""
+    when = ", ".join(utc_text(time) for time in times[:_MOST_NAMED])
+    more = f" and {times.size - _MOST_NAMED} more" if times.size > _MOST_NAMED else ""
+    leap = "1 fix leaps" if times.size == 1 else f"{times.size} fixes leap"
+    return (
+        f"Recording {recording.name}: {leap} off the path of the log and back: left out "
+        f"({when}{more})."
     )
 
 
@@ -90,10 +128,12 @@ def scene_correspondences(
     scene: Scene,
     plane: LocalPlane,
     *,
-    largest_gap_s: float = LARGEST_GAP_S,
     extra: Mapping[str, Boxes] | None = None,
 ) -> Correspondences:
     """Correspondences of all recordings that have boxes and a log.
+
+    In long gaps of a log places are those that a motion model expects, with how far they may be
+    off: see `sightline.logged_motion`.
 
     Where the camera stands on a platform that moves, places are those that the platform saw: to
     starboard and ahead of it.
@@ -101,7 +141,6 @@ def scene_correspondences(
     Args:
         scene: The scene.
         plane: The plane of the places.
-        largest_gap_s: A box counts where the fixes on either side are at most this far apart.
         extra: Further boxes of the logged target, from another source, by recording.
 
     Raises:
@@ -119,11 +158,10 @@ def scene_correspondences(
         if extra and recording.name in extra:
             boxes = Boxes.concatenate([boxes, extra[recording.name]])
         asked = len(boxes)
-        place = synchronise(recording.fixes(), boxes.time_utc_s, plane, largest_gap_s=largest_gap_s)
-        if len(boxes) and not place.matched.any():
+        at = _places(recording.fixes(), boxes.time_utc_s, plane)
+        en_m, velocity_mps = at.east_north_m, at.velocity_mps
+        if len(boxes) and not np.isfinite(en_m).any():
             silent.append(recording)
-        en_m = np.stack([place.east_m, place.north_m], axis=1)
-        velocity_mps = np.stack([place.velocity_east_mps, place.velocity_north_mps], axis=1)
         platform = recording.platform()
         if platform is not None:
             pose = platform.pose(boxes.time_utc_s, plane)
@@ -140,6 +178,8 @@ def scene_correspondences(
                 plane=plane,
                 water_level_m=levels_at(recording, times) if tidal else np.zeros(times.size),
                 bias_only=~np.isin(boxes.source[rows], drew),
+                fix_sigma_m=at.sigma_m[rows],
+                fix_time_utc_s=at.fix_time_utc_s[rows],
             )
         )
     if silent and len(silent) == len(parts):
@@ -148,8 +188,9 @@ def scene_correspondences(
                 recording.boxes().time_utc_s, recording.fixes(), f"recording {recording.name}"
             )
         raise FitError(
-            f"{scene.path}: no box has fixes at most {largest_gap_s:g} s apart around it; the log "
-            "has gaps wherever there are boxes"
+            f"{scene.path}: no box has fixes near enough on both sides to say where the vessel "
+            f"was to {LARGEST_SIGMA_M:g} m (at most {LONGEST_GAP_S:g} s apart); the log has gaps "
+            "wherever there are boxes, so give one with a fix every 30 s or more often"
         )
     if not parts:
         nothing = np.empty((0, 2))
@@ -165,7 +206,22 @@ def scene_correspondences(
         plane=plane,
         water_level_m=np.concatenate([part.water_level_m for part in parts]),
         bias_only=np.concatenate([part.bias_only for part in parts]),
+        fix_sigma_m=np.concatenate([part.fix_sigma_m for part in parts]),
+        fix_time_utc_s=np.concatenate([part.fix_time_utc_s for part in parts]),
     )
+
+
+def _places(fixes: Fixes, time_utc_s: FloatArray, plane: LocalPlane) -> ReferenceStates:
+    """Places of a log at times: on a line between near fixes, as a motion model says in gaps."""
+    fixes, _ = without_leaps(fixes, plane)
+    near = synchronise(fixes, time_utc_s, plane)
+    at = ReferenceTrajectory.of(fixes, plane).at(time_utc_s)
+    place, velocity, sigma = at.east_north_m, at.velocity_mps, at.sigma_m
+    rows = near.matched
+    place[rows] = np.stack([near.east_m, near.north_m], axis=1)[rows]
+    velocity[rows] = np.stack([near.velocity_east_mps, near.velocity_north_mps], axis=1)[rows]
+    sigma[rows] = 0.0
+    return ReferenceStates(place, velocity, sigma, at.fix_time_utc_s)
 
 
 def levels_at(recording: Recording, time_utc_s: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from sightline.clock import Clock, presentation_clock
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
+from sightline.plausibility import check_near, check_together
 from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
@@ -35,6 +36,9 @@ _FILES = (
     "horizon",
     "water_levels",
 )
+
+
+_LONGEST_PATH = 400
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,13 @@ class CameraSite:
     longitude_deg: float | None = None
     image_size_px: tuple[int, int] | None = None
     compensate_rotation: bool = True
+
+    @property
+    def place_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude; None where they are not known."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        return self.latitude_deg, self.longitude_deg
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,7 @@ class Recording:
         water_level_m: Water level above the datum, or None.
         water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
+        camera_place_deg: Latitude and longitude of the camera where the scene file says them.
     """
 
     name: str
@@ -91,6 +103,7 @@ class Recording:
     water_level_m: float | None = None
     water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
+    camera_place_deg: tuple[float, float] | None = None
 
     @property
     def source(self) -> Path | None:
@@ -126,7 +139,8 @@ class Recording:
         """
         if self.boxes_path is None:
             raise InputError(f"recording {self.name}: has no boxes; give boxes = FILE")
-        return self._timed(formats.read_boxes(self.boxes_path), self.boxes_path)
+        boxes = formats.read_boxes(self.boxes_path, image_size_px=self.image_size_px)
+        return self._timed(boxes, self.boxes_path)
 
     def detections(self) -> Boxes:
         """The boxes of anything, with their times.
@@ -140,17 +154,24 @@ class Recording:
         if self.detections_path is None:
             raise InputError(f"recording {self.name}: has no detections; give detections = FILE")
         path = self.detections_path
-        return self._timed(formats.read_boxes(path, source=path.stem, skip_empty=True), path)
+        boxes = formats.read_boxes(
+            path, source=path.stem, skip_empty=True, image_size_px=self.image_size_px
+        )
+        return self._timed(boxes, path)
 
     def fixes(self) -> Fixes:
         """The log of the target, as fixes.
 
         Raises:
-            InputError: The recording has none, or it cannot be used.
+            InputError: The recording has none, it cannot be used, or all of it is so far from the
+                camera that one of the two places is wrong.
         """
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
-        return _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+        fixes = _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+        if self.camera_place_deg is not None:
+            check_near(fixes, *self.camera_place_deg, str(self.fixes_path), "the camera")
+        return fixes
 
     def platform(self) -> Platform | None:
         """The platform that the camera is on; None where it is static.
@@ -279,7 +300,7 @@ class Scene:
         return cls(
             camera=camera,
             recordings=tuple(
-                _recording(Path(path), base, i, recording, camera.image_size_px)
+                _recording(Path(path), base, i, recording, camera)
                 for i, recording in enumerate(table.recordings)
             ),
             control_points=_control_points(
@@ -394,6 +415,36 @@ class Scene:
         )
 
 
+def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
+    """The files that a scene file names: those that are there, and a sentence on each other.
+
+    Args:
+        path: The scene file.
+
+    Raises:
+        InputError: It is missing itself, no TOML, or has a key or a value that cannot stand there.
+    """
+    table = parse_scene_table(Path(path))
+    base = Path(path).parent
+    named = [
+        (f"recordings[{i}].{key}", written, key == "frames")
+        for i, recording in enumerate(table.recordings, start=1)
+        for key in _FILES
+        if (written := getattr(recording, key)) is not None
+    ]
+    if isinstance(table.control_points, str):
+        named.append(("control_points", table.control_points, False))
+    there: dict[Path, None] = {}
+    missing = []
+    for key, written, folder in named:
+        try:
+            _check_there(Path(path), key, base / written, folder)
+            there[base / written] = None
+        except InputError as error:
+            missing.append(str(error))
+    return list(there), missing
+
+
 # Recordings share their logs, which are long.
 @lru_cache(maxsize=32)
 def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
@@ -430,7 +481,7 @@ def _recording(
     base: Path,
     number: int,
     table: RecordingTable,
-    image_size_px: tuple[int, int] | None,
+    camera: CameraSite,
 ) -> Recording:
     paths: dict[str, Path | None] = {}
     for key in _FILES:
@@ -446,7 +497,8 @@ def _recording(
         start_utc_s=None if start is None else start.timestamp(),
         mmsi=table.mmsi,
         water_level_m=table.water_level_m,
-        image_size_px=image_size_px,
+        image_size_px=camera.image_size_px,
+        camera_place_deg=camera.place_deg,
         **paths,
     )
 
@@ -454,7 +506,10 @@ def _recording(
 def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:
     # os.path answers where pathlib raises: for a name that is too long, or a folder that is closed.
     if not os.path.exists(path):
-        raise InputError(f"{scene}: {key} names {path}, which does not exist")
+        named = str(path)
+        if len(named) > _LONGEST_PATH:
+            named = f"{named[:_LONGEST_PATH]}..."
+        raise InputError(f"{scene}: {key} names {named}, which does not exist")
     if os.path.isdir(path) != folder:
         raise InputError(
             f"{scene}: {key} names {path}, which is a {'file' if folder else 'folder'}; "
@@ -478,6 +533,8 @@ def _control_points(
             latitude_deg=np.array([point.latitude_deg for point in points]),
             longitude_deg=np.array([point.longitude_deg for point in points]),
         )
+        names = [f"control point {number + 1}" for number in range(len(points))]
+        check_together(found.latitude_deg, found.longitude_deg, names, where)
     if image_size_px is not None:
         outside = ((found.pixel_px < 0.0) | (found.pixel_px > image_size_px)).any(axis=1)
         if outside.any():

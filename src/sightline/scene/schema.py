@@ -19,6 +19,8 @@ from pydantic import (
 
 from sightline.errors import InputError, no_scene_file
 
+_LONGEST = 80
+
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 
 
@@ -155,7 +157,7 @@ def parse_scene_table(path: Path) -> SceneTable:
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is not text in UTF-8, so it is no scene file") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no TOML: {error}") from error
+        raise InputError(f"{path}: is no TOML: {_shortened(str(error))}") from error
     try:
         return SceneTable.model_validate(content)
     except ValidationError as error:
@@ -171,7 +173,8 @@ def _first_problem(error: ValidationError) -> str:
     steps = [step for step in problem["loc"] if step not in ("str", "list[PointTable]")]
     where = ""
     for step in steps:
-        where += f"[{step + 1}]" if isinstance(step, int) else f".{step}" if where else str(step)
+        key = _shortened(str(step))
+        where += f"[{step + 1}]" if isinstance(step, int) else f".{key}" if where else key
     if problem["type"] == "extra_forbidden":
         table = str(steps[0]) if len(steps) > 1 else ""
         known = ", ".join(_TABLES[table].model_fields)
@@ -179,10 +182,15 @@ def _first_problem(error: ValidationError) -> str:
     if problem["type"] == "missing":
         return f"{where} is missing"
     if problem["type"] == "model_type":
-        return f"{where}: expected a table of keys and values; it is {problem['input']!r}"
+        given = _shortened(repr(problem["input"]))
+        return f"{where}: expected a table of keys and values; it is {given}"
     message = problem["msg"].removeprefix("Value error, ")
     message = message[0].lower() + message[1:]
     given = problem["input"]
     if isinstance(given, str | int | float | list) and problem["type"] != "value_error":
-        message += f"; it is {given!r}"
+        message += f"; it is {_shortened(repr(given))}"
     return f"{where}: {message}" if where else message
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -1,15 +1,28 @@
 """A synthetic harbour whose truth is known: as numbers, as pictures, and as files."""
 
 from sightline.simulation.camera import SimulatedCamera
-from sightline.simulation.harbour import EXACT, BoxNoise, Harbour, ReceiverNoise, Truth
+from sightline.simulation.harbour import (
+    EXACT,
+    BoxNoise,
+    Harbour,
+    HarbourSettings,
+    ReceiverNoise,
+    Truth,
+)
 from sightline.simulation.platform import Knock
 from sightline.simulation.render import Look, Renderer
-from sightline.simulation.simulate import Recording, Simulation, simulate
+from sightline.simulation.simulate import (
+    Recording,
+    Simulation,
+    SimulationSettings,
+    simulate,
+)
 
 __all__ = [
     "EXACT",
     "BoxNoise",
     "Harbour",
+    "HarbourSettings",
     "Knock",
     "Look",
     "ReceiverNoise",
@@ -17,6 +30,7 @@ __all__ = [
     "Renderer",
     "SimulatedCamera",
     "Simulation",
+    "SimulationSettings",
     "Truth",
     "simulate",
 ]

@@ -1,6 +1,6 @@
 """The world without pixels: who is where at any time, and what its boxes and logs would be.
 
-    harbour = Harbour.random(seed=1, duration_s=300.0)
+    harbour = Harbour.random(1, HarbourSettings(duration_s=300.0))
     times = harbour.times(rate_hz=10.0)                     # (N,) POSIX seconds
     boxes = harbour.boxes(times)                            # the target's, exact; one row a time
                                                             # at which it is seen
@@ -196,6 +196,46 @@ class Truth:
         return int(self.time_utc_s.size)
 
 
+@dataclass(frozen=True)
+class HarbourSettings:
+    """Settings of `Harbour.random`.
+
+    Attributes:
+        duration_s: How long the boats have paths.
+        camera: Absent: a random one.
+        image_size_px: Of the random camera.
+        plane: Where the camera stands.
+        start_utc_s: POSIX seconds.
+        motorboats: How many besides the target.
+        sailboats: How many under sail.
+        ferries: How many.
+        anchored: How many boats lie at anchor.
+        gulls: How many birds.
+        piles: Whether a bollard and a mooring post stand before the camera.
+        moving: Whether the camera is on a vessel under way in a swell; then without piles.
+
+    Raises:
+        InputError: The duration is not positive.
+    """
+
+    duration_s: float = 240.0
+    camera: SimulatedCamera | None = None
+    image_size_px: tuple[int, int] = (1280, 720)
+    plane: LocalPlane = DOCK
+    start_utc_s: float = START_UTC_S
+    motorboats: int = 3
+    sailboats: int = 3
+    ferries: int = 1
+    anchored: int = 2
+    gulls: int = 6
+    piles: bool = True
+    moving: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.duration_s > 0.0:
+            raise InputError(f"a duration of {self.duration_s:g} s is not positive")
+
+
 @dataclass(frozen=True, eq=False)
 class Harbour:
     """A harbour, its boats, and the camera that watches them.
@@ -226,69 +266,39 @@ class Harbour:
     knock: Knock | None = None
 
     @classmethod
-    def random(
-        cls,
-        seed: int = 0,
-        *,
-        duration_s: float = 240.0,
-        camera: SimulatedCamera | None = None,
-        image_size_px: tuple[int, int] = (1280, 720),
-        plane: LocalPlane = DOCK,
-        start_utc_s: float = START_UTC_S,
-        motorboats: int = 3,
-        sailboats: int = 3,
-        ferries: int = 1,
-        anchored: int = 2,
-        gulls: int = 6,
-        piles: bool = True,
-        moving: bool = False,
-    ) -> Harbour:
+    def random(cls, seed: int = 0, settings: HarbourSettings | None = None) -> Harbour:
         """A harbour from a seed.
 
         Args:
             seed: The same seed and settings give the same harbour.
-            duration_s: How long the boats have paths.
-            camera: Absent: a random one.
-            image_size_px: Of the random camera.
-            plane: Where the camera stands.
-            start_utc_s: POSIX seconds.
-            motorboats: How many besides the target.
-            sailboats: How many under sail.
-            ferries: How many.
-            anchored: How many boats lie at anchor.
-            gulls: How many birds.
-            piles: Whether a bollard and a mooring post stand before the camera.
-            moving: Whether the camera is on a vessel under way in a swell; then without piles.
-
-        Raises:
-            InputError: The duration is not positive.
+            settings: What is in it.
         """
-        if not duration_s > 0.0:
-            raise InputError(f"a duration of {duration_s:g} s is not positive")
+        settings = settings or HarbourSettings()
         rng = np.random.default_rng([seed, 1])
+        camera, duration_s = settings.camera, settings.duration_s
         if camera is None:
-            camera = SimulatedCamera.random(rng, image_size_px)
+            camera = SimulatedCamera.random(rng, settings.image_size_px)
         builder = _Builder(rng, camera, duration_s)
         builder.target()
-        for _ in range(motorboats):
+        for _ in range(settings.motorboats):
             builder.motorboat()
-        for _ in range(sailboats):
+        for _ in range(settings.sailboats):
             builder.sailboat()
-        for _ in range(ferries):
+        for _ in range(settings.ferries):
             builder.ferry()
-        for _ in range(anchored):
+        for _ in range(settings.anchored):
             builder.anchored()
         return cls(
             camera=camera,
-            plane=plane,
+            plane=settings.plane,
             boats=tuple(builder.boats),
-            piles=builder.piles() if piles and not moving else (),
-            gulls=tuple(builder.gull(i % 2 == 0) for i in range(gulls)),
-            start_utc_s=start_utc_s,
+            piles=builder.piles() if settings.piles and not settings.moving else (),
+            gulls=tuple(builder.gull(i % 2 == 0) for i in range(settings.gulls)),
+            start_utc_s=settings.start_utc_s,
             duration_s=duration_s,
             seed=seed,
             platform=SimulatedPlatform.random(np.random.default_rng([seed, 8]), camera, duration_s)
-            if moving
+            if settings.moving
             else None,
         )
 

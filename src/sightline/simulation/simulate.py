@@ -25,7 +25,14 @@ from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.simulation.boats import Boat
 from sightline.simulation.camera import SimulatedCamera
-from sightline.simulation.harbour import DOCK, START_UTC_S, BoxNoise, Harbour, ReceiverNoise
+from sightline.simulation.harbour import (
+    DOCK,
+    START_UTC_S,
+    BoxNoise,
+    Harbour,
+    HarbourSettings,
+    ReceiverNoise,
+)
 from sightline.simulation.platform import Knock, Warp
 from sightline.simulation.render import Look, Renderer
 from sightline.simulation.scenery import Image
@@ -90,49 +97,11 @@ class Simulation:
     recordings: tuple[Recording, ...]
 
 
-def simulate(
-    directory: str | os.PathLike[str],
-    *,
-    seed: int = 0,
-    recordings: int = 3,
-    duration_s: float = 60.0,
-    pause_s: float = 15.0,
-    rate_hz: float = 12.0,
-    image_size_px: tuple[int, int] = (1280, 720),
-    camera: SimulatedCamera | None = None,
-    plane: LocalPlane = DOCK,
-    start_utc_s: float = START_UTC_S,
-    clock: ClockKind = "start",
-    annotation_interval_s: float = 0.5,
-    unlabelled: int = 0,
-    annotator: BoxNoise = ANNOTATOR,
-    detector: BoxNoise = DETECTOR,
-    receiver: ReceiverNoise | None = None,
-    look: Look | None = None,
-    video: bool = True,
-    moving: bool = False,
-    knock: Knock | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Simulation:
-    """Write a synthetic harbour as somebody with a camera on a dock would have recorded it.
+@dataclass(frozen=True)
+class SimulationSettings:
+    """Settings of `simulate`.
 
-    ======================  =======================================================================
-    ``scene.toml``          ties it together
-    ``01.mp4``, ...         the videos; frames are irregular in time, and some are lost
-    ``clock/01.csv``        ``frame,utc``, with ``clock`` ``"exact"`` or ``"stepped"``
-    ``boxes/01.csv``        the target's boxes, as an annotator drew them
-    ``detections/01.csv``   all boats' boxes, as a detector saw them
-    ``target.gpx``          the target's log
-    ``ais.nmea``            what the target and the ferries broadcast
-    ``truth.csv``           where every boat was at every frame
-    ``truth.json``          the camera, and how everything was drawn
-    ``truth-boxes/01.csv``  the exact boxes of all boats, ``track_id`` the boat
-    ``platform.csv``        what the camera's platform logged of itself, if it moves
-    ``horizon/01.csv``      the horizon in each frame, if the platform moves and there is no video
-    ======================  =======================================================================
-
-    Args:
-        directory: Where to; made if it is not there.
+    Attributes:
         seed: The same seed and settings give the same files.
         recordings: How many videos.
         duration_s: Of each.
@@ -154,77 +123,140 @@ def simulate(
         video: Whether to render at all; without, the clock is a table.
         moving: Whether the camera is on a vessel under way in a swell, rather than on a dock.
         knock: When a camera on a dock was turned, and how.
+
+    Raises:
+        InputError: A setting is out of its range.
+    """
+
+    seed: int = 0
+    recordings: int = 3
+    duration_s: float = 60.0
+    pause_s: float = 15.0
+    rate_hz: float = 12.0
+    image_size_px: tuple[int, int] = (1280, 720)
+    camera: SimulatedCamera | None = None
+    plane: LocalPlane = DOCK
+    start_utc_s: float = START_UTC_S
+    clock: ClockKind = "start"
+    annotation_interval_s: float = 0.5
+    unlabelled: int = 0
+    annotator: BoxNoise = ANNOTATOR
+    detector: BoxNoise = DETECTOR
+    receiver: ReceiverNoise | None = None
+    look: Look | None = None
+    video: bool = True
+    moving: bool = False
+    knock: Knock | None = None
+
+    def __post_init__(self) -> None:
+        kinds: tuple[ClockKind, ...] = ("start", "exact", "stepped")
+        if self.clock not in kinds:
+            raise unknown_name("clock", self.clock, kinds)
+        size = self.image_size_px if self.camera is None else self.camera.image_size_px
+        _check(self.recordings, self.duration_s, self.rate_hz, size)
+        if self.clock == "stepped" and self.duration_s < 3.0 * CLOCK_STEP_S:
+            raise InputError(
+                f"a clock that steps every {CLOCK_STEP_S:g} s cannot tell the times of a recording "
+                f"of {self.duration_s:g} s; make it {3.0 * CLOCK_STEP_S:g} s or longer"
+            )
+        if not 0 <= self.unlabelled <= (self.recordings if self.video else 0):
+            raise InputError(
+                f"{self.unlabelled} recordings without boxes were asked for, of {self.recordings} "
+                f"{'with' if self.video else 'without'} a video; a recording needs one or the other"
+            )
+        if self.knock is not None and self.moving:
+            raise InputError("a camera on a vessel under way is not knocked as well; leave one out")
+
+    @property
+    def clock_kind(self) -> ClockKind:
+        """How the scene tells the times: without presentation times only a table does."""
+        return "exact" if not self.video and self.clock == "start" else self.clock
+
+
+def simulate(
+    directory: str | os.PathLike[str],
+    settings: SimulationSettings | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Simulation:
+    """Write a synthetic harbour as somebody with a camera on a dock would have recorded it.
+
+    ======================  =======================================================================
+    ``scene.toml``          ties it together
+    ``01.mp4``, ...         the videos; frames are irregular in time, and some are lost
+    ``clock/01.csv``        ``frame,utc``, with ``clock`` ``"exact"`` or ``"stepped"``
+    ``boxes/01.csv``        the target's boxes, as an annotator drew them
+    ``detections/01.csv``   all boats' boxes, as a detector saw them
+    ``target.gpx``          the target's log
+    ``ais.nmea``            what the target and the ferries broadcast
+    ``truth.csv``           where every boat was at every frame
+    ``truth.json``          the camera, and how everything was drawn
+    ``truth-boxes/01.csv``  the exact boxes of all boats, ``track_id`` the boat
+    ``platform.csv``        what the camera's platform logged of itself, if it moves
+    ``horizon/01.csv``      the horizon in each frame, if the platform moves and there is no video
+    ======================  =======================================================================
+
+    Args:
+        directory: Where to; made if it is not there.
+        settings: What is in the recordings.
         progress: Called with the share done, 0 to 1.
 
     Raises:
-        InputError: A setting is out of its range, or a file cannot be written.
+        InputError: A file cannot be written.
     """
-    kinds: tuple[ClockKind, ...] = ("start", "exact", "stepped")
-    if clock not in kinds:
-        raise unknown_name("clock", clock, kinds)
-    size = image_size_px if camera is None else camera.image_size_px
-    _check(recordings, duration_s, rate_hz, size)
-    if clock == "stepped" and duration_s < 3.0 * CLOCK_STEP_S:
-        raise InputError(
-            f"a clock that steps every {CLOCK_STEP_S:g} s cannot tell the times of a recording of "
-            f"{duration_s:g} s; make it {3.0 * CLOCK_STEP_S:g} s or longer"
-        )
-    if not 0 <= unlabelled <= (recordings if video else 0):
-        raise InputError(
-            f"{unlabelled} recordings without boxes were asked for, of {recordings} "
-            f"{'with' if video else 'without'} a video; a recording needs one or the other"
-        )
-    if not video and clock == "start":
-        # Without presentation times only a table tells when a frame was.
-        clock = "exact"
+    settings = settings or SimulationSettings()
     folder = Path(directory)
     # A log that begins before the video and ends after it leaves no frame without a place.
     lead_s = 2.0
+    apart_s = settings.duration_s + settings.pause_s
+    whole_s = settings.recordings * settings.duration_s
+    whole_s += (settings.recordings - 1) * settings.pause_s
     harbour = Harbour.random(
-        seed,
-        duration_s=recordings * duration_s + (recordings - 1) * pause_s + 2.0 * lead_s,
-        camera=camera,
-        image_size_px=image_size_px,
-        plane=plane,
-        start_utc_s=start_utc_s - lead_s,
-        moving=moving,
+        settings.seed,
+        HarbourSettings(
+            duration_s=whole_s + 2.0 * lead_s,
+            camera=settings.camera,
+            image_size_px=settings.image_size_px,
+            plane=settings.plane,
+            start_utc_s=settings.start_utc_s - lead_s,
+            moving=settings.moving,
+        ),
     )
-    if knock is not None:
-        if moving:
-            raise InputError("a camera on a vessel under way is not knocked as well; leave one out")
-        harbour = replace(harbour, knock=knock)
-    rng = np.random.default_rng([seed, 5])
+    if settings.knock is not None:
+        harbour = replace(harbour, knock=settings.knock)
+    rng = np.random.default_rng([settings.seed, 5])
     shot = []
-    for i in range(recordings):
-        begin = start_utc_s + round(i * (duration_s + pause_s))
-        times = begin + _frame_times(rng, duration_s, rate_hz)
+    for i in range(settings.recordings):
+        begin = settings.start_utc_s + round(i * apart_s)
+        times = begin + _frame_times(rng, settings.duration_s, settings.rate_hz)
         shot.append(Recording(f"{i + 1:02d}", times))
 
     for i, recording in enumerate(shot):
-        _write_tables(
-            folder, harbour, recording, clock, i, annotation_interval_s, annotator, detector
-        )
-    noise = receiver if receiver is not None else ReceiverNoise()
+        _write_tables(folder, harbour, recording, i, settings)
+    noise = settings.receiver if settings.receiver is not None else ReceiverNoise()
     _write_gpx(folder / "target.gpx", harbour.fixes(noise))
-    if moving:
+    if settings.moving:
         own = replace(noise, interval_jitter=0.0, dropouts_per_minute=0.0)
         _write_platform(folder / "platform.csv", harbour.platform_log(own))
-        if not video:
+        if not settings.video:
             for i, recording in enumerate(shot):
                 _write_horizon(folder / "horizon" / f"{recording.name}.csv", harbour, recording, i)
     talkers = [boat for boat in harbour.boats if boat.shape.kind == "ferry"]
     _write_ais(folder / "ais.nmea", harbour, [harbour.target, *talkers])
-    settings: dict[str, object] = {
-        "seed": seed,
-        "clock": clock,
-        "annotator": asdict(annotator),
-        "detector": asdict(detector),
+    drawn: dict[str, object] = {
+        "seed": settings.seed,
+        "clock": settings.clock_kind,
+        "annotator": asdict(settings.annotator),
+        "detector": asdict(settings.detector),
         "receiver": asdict(noise),
     }
-    _write_truth(folder, harbour, shot, settings)
-    if video:
-        _write_videos(folder, harbour, shot, look, progress)
-    _write_text(folder / "scene.toml", _scene(harbour, shot, clock, video, unlabelled))
+    _write_truth(folder, harbour, shot, drawn)
+    if settings.video:
+        _write_videos(folder, harbour, shot, settings.look, progress)
+    _write_text(
+        folder / "scene.toml",
+        _scene(harbour, shot, settings.clock_kind, settings.video, settings.unlabelled),
+    )
     return Simulation(folder / "scene.toml", harbour, tuple(shot))
 
 
@@ -262,23 +294,23 @@ def _write_tables(
     folder: Path,
     harbour: Harbour,
     recording: Recording,
-    clock: ClockKind,
     seed: int,
-    annotation_interval_s: float,
-    annotator: BoxNoise,
-    detector: BoxNoise,
+    settings: SimulationSettings,
 ) -> None:
     name, times = recording.name, recording.time_utc_s
+    clock = settings.clock_kind
     if clock != "start":
         rng = np.random.default_rng([harbour.seed, 6, seed])
         stamps = _iso(times) if clock == "exact" else _stepped(rng, times)
         _write_rows(folder / "clock" / f"{name}.csv", ("frame", "utc"), enumerate(stamps))
     looked_at = np.unique(
-        np.searchsorted(times, np.arange(times[0], times[-1], annotation_interval_s))
+        np.searchsorted(times, np.arange(times[0], times[-1], settings.annotation_interval_s))
     )
-    drawn = harbour.boxes(times[looked_at], noise=annotator, frame=looked_at, seed=2 * seed)
+    drawn = harbour.boxes(
+        times[looked_at], noise=settings.annotator, frame=looked_at, seed=2 * seed
+    )
     _write_boxes(folder / "boxes" / f"{name}.csv", drawn, annotator=True)
-    seen = harbour.boxes(times, noise=detector, of="all", seed=2 * seed + 1)
+    seen = harbour.boxes(times, noise=settings.detector, of="all", seed=2 * seed + 1)
     rng = np.random.default_rng([harbour.seed, 7, seed])
     seen = seen.with_columns(confidence=rng.beta(8.0, 2.0, len(seen)))
     _write_boxes(folder / "detections" / f"{name}.csv", seen, label=True)

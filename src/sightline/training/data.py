@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats.boxes_csv import usable
+from sightline.formats._box_table import refuse_empty
 from sightline.formats.labels import EMPTY_TABLE, Margin, empty_frames, parse_margins, tables_folder
 from sightline.scene import Recording, Scene
-from sightline.simulation import Harbour, Renderer
+from sightline.simulation import Harbour, HarbourSettings, Renderer
+from sightline.text import text_of_cell
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray, Rows
 
 Image = NDArray[np.uint8]
@@ -272,10 +273,12 @@ def _table(path: Path, may_be_empty: bool) -> _Table:
             f"without the target in {EMPTY_TABLE}"
         )
     xyxy_px = np.column_stack([_files.numbers(path, rows[name]) for name in corners])
-    usable(path, rows.index, xyxy_px, skip_empty=False)
+    refuse_empty(path, rows.index, xyxy_px)
 
     def text(column: str) -> list[str] | str:
-        return rows[column].fillna("").astype(str).str.strip().tolist() if column in rows else ""
+        if column not in rows:
+            return ""
+        return [text_of_cell(cell) for cell in rows[column].fillna("").astype(str).str.strip()]
 
     frames = _files.whole_numbers(path, rows["frame"])
     boxes = Boxes.of(xyxy_px, frame=frames, source=text("annotator"), label=text("label"))
@@ -509,13 +512,15 @@ def synthetic_pictures(
     while len(made) < count:
         harbour = Harbour.random(
             int(rng.integers(2**31)),
-            duration_s=240.0,
-            image_size_px=image_size_px,
-            motorboats=int(rng.integers(1, 6)),
-            sailboats=int(rng.integers(0, 7)),
-            ferries=int(rng.integers(0, 2)),
-            anchored=int(rng.integers(0, 4)),
-            gulls=int(rng.integers(0, 10)),
+            HarbourSettings(
+                duration_s=240.0,
+                image_size_px=image_size_px,
+                motorboats=int(rng.integers(1, 6)),
+                sailboats=int(rng.integers(0, 7)),
+                ferries=int(rng.integers(0, 2)),
+                anchored=int(rng.integers(0, 4)),
+                gulls=int(rng.integers(0, 10)),
+            ),
         )
         renderer = Renderer(harbour)
         times = harbour.start_utc_s + np.linspace(1.0, 239.0, _PICTURES_A_HARBOUR)

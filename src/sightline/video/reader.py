@@ -2,36 +2,41 @@
 
 from __future__ import annotations
 
+import logging
 import os
-import re
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
-import av
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image, ImageOps
 
-from sightline import video
 from sightline.clock import Clock
 from sightline.errors import BrokenOffError, InputError
+from sightline.tally import Tally
 from sightline.types import FloatArray, Frame
+from sightline.video.containers import creation_utc_s, has_times, is_address
+from sightline.video.conversion import Conversion
+from sightline.video.decoding import Decoder
+from sightline.video.pictures import FolderReader, numbered_pictures
+from sightline.video.presentation import presentation_of_packets
+from sightline.video.sources import BreakError, Source, open_source
 
-_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png")
-_MOST_DIGITS = 18
-_LIVE_SCHEMES = ("rtsp", "rtsps", "rtmp", "rtmps", "rtp", "udp", "srt", "tcp")
+_logger = logging.getLogger(__name__)
+
+# Up to so many packets, decoding only to count frames costs a second or two.
+_FEW_PACKETS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class VideoInfo:
-    """What a video file says of itself, found by decoding no more than its first frame.
+    """What a video holds: its size, and the time of each frame that `frames` numbers.
 
     Attributes:
-        image_size_px: Width and height, as shown: after the turn that telephones ask for.
-        presentation_s: (N,) float64, seconds after the first frame, in the order of showing.
+        image_size_px: Width and height, as shown: after the turn that telephones ask for, with
+            square pixels.
+        presentation_s: (N,) float64, seconds after the first frame, by the number of the frame;
+            of frames that are lost to damage as well, which have a number, too. They never
+            decrease; NaN where the video tells none.
         creation_utc_s: POSIX seconds at which the container says that it was made; None if it
             does not say. Cameras that write the time at which they stopped exist.
     """
@@ -41,30 +46,59 @@ class VideoInfo:
     creation_utc_s: float | None
 
 
-def video_info(path: str | os.PathLike[str]) -> VideoInfo:
+def video_info(path: str | os.PathLike[str], *, tally: Tally | None = None) -> VideoInfo:
     """Size, exact presentation times and creation time of a video file.
 
+    Where the packets tell the times beyond doubt, the pictures are not decoded, which takes a
+    second for an hour; else all are, which takes as long as to read its frames.
+
     Args:
-        path: A file that FFmpeg can read.
+        path: A video file.
+        tally: Told what was read, lost and bridged; without one it is logged.
 
     Raises:
-        InputError: The file is missing or empty, is no video, or is damaged.
+        InputError: The file is missing or empty, is no video, holds no frame that can be decoded,
+            or tells no times.
     """
-    with _open(str(path)) as container:
-        stream = _stream(container, str(path))
-        try:
-            ticks = [
-                packet.pts
-                for packet in container.demux(stream)
-                if packet.pts is not None and not packet.is_discard
-            ]
-        except av.FFmpegError as error:
-            raise _damaged(str(path), error) from error
-        if not ticks or stream.time_base is None:
-            raise InputError(f"{path}: holds no frame")
-        seconds = np.sort(np.array(ticks, dtype=np.int64)) * float(stream.time_base)
-        creation_utc_s = _creation(container)
-    return VideoInfo(image_size_px(path), seconds - seconds[0], creation_utc_s)
+    name, own = os.fspath(path), tally is None
+    tally = Tally(name) if tally is None else tally
+    source = open_source(name, tally)
+    try:
+        if source.live:
+            raise InputError(f"{name}: is a stream without an end, not a video file")
+        if not has_times(source.container):
+            raise _timeless(name)
+        created_utc_s = creation_utc_s(source.container)
+    finally:
+        source.close()
+    known = presentation_of_packets(name, tally)
+    size_px, presentation_s = _decoded_times(name, tally) if known is None else known
+    if own:
+        tally.warn(_logger)
+    return VideoInfo(size_px, presentation_s, created_utc_s)
+
+
+def _decoded_times(name: str, tally: Tally) -> tuple[tuple[int, int], FloatArray]:
+    """Size and times by decoding all there is."""
+    # Opening it has said what there is to say of the container.
+    source = open_source(name, Tally(name))
+    conversion, decoder = Conversion(source.stream, name, tally), Decoder(source)
+    seconds: list[float] = []
+    try:
+        for index, frame in enumerate(decoder):
+            if frame.picture is not None:
+                conversion.check_size(frame.picture, index)
+            seconds.append(frame.seconds)
+    except BreakError as error:
+        tally.note(f"breaks off after {len(seconds)} frames ({error})")
+    except BrokenOffError as error:
+        tally.note(str(error).removeprefix(f"{name}: "))
+    finally:
+        source.close()
+    decoder.report_in(tally)
+    if conversion.size_px is None:
+        raise _nothing(name)
+    return conversion.size_px, np.array(seconds)
 
 
 def frames(
@@ -73,11 +107,14 @@ def frames(
     clock: Clock | None = None,
     start_utc_s: float | None = None,
     apart_s: float = 0.0,
+    tally: Tally | None = None,
 ) -> Iterator[Frame]:
     """The frames of a source, one at a time, with the UTC time at which each was taken.
 
     * A **video file**: times are the start plus the exact presentation times; the start is
       ``start_utc_s`` or else the container's creation time. Without either, times are NaN.
+      Frames that are lost to damage keep their numbers and times. Raw streams of pictures
+      (``.h264``, ``.mjpeg``) tell no times.
     * A **folder** of ``FRAME.jpg`` or ``FRAME.png``: the frame's index is the number in its name.
       Times come from the clock alone.
     * A **live stream** (an RTSP, RTMP, SRT or UDP address, or HTTP without an end): a frame's
@@ -90,23 +127,48 @@ def frames(
         start_utc_s: POSIX seconds of a video file's first frame.
         apart_s: Frames that follow the one before them sooner are left out, which costs less than
             to hand them on. Frames without a time are kept.
+        tally: Told what was read, lost and bridged; without one it is logged at the end.
 
     Yields:
-        Frames in order; only one is held at a time.
+        Frames in order, all of one size; only one is held at a time.
 
     Raises:
-        InputError: There is no such source, nothing in it can be decoded, or it breaks off; then
-            the frames before have been yielded, and the message says how many.
+        InputError: There is no such source, nothing in it can be decoded, or it is asked for
+            times that it does not tell.
+        BrokenOffError: A file is cut short, a stream ends, is reset or falls silent, or the
+            pictures change their size; the frames before have been yielded.
     """
     name = os.fspath(source)
-    if "://" not in name and Path(name).is_dir():
+    own = tally is None
+    tally = Tally(name) if tally is None else tally
+    thinned = _Thinned(clock, apart_s)
+    found: Iterator[Frame]
+    if not is_address(name) and Path(name).is_dir():
         if start_utc_s is not None:
             raise InputError(
                 f"{name}: pictures in a folder have no presentation times, so a start time does "
                 "not tell when they were taken; give a clock (frame,utc)"
             )
-        return _from_folder(Path(name), _Thinned(clock, apart_s))
-    return _from_container(name, start_utc_s, _Thinned(clock, apart_s))
+        found = _pictures(FolderReader(Path(name), tally), thinned)
+    else:
+        # Opened at once, so that a bad name is told before the loop.
+        opened = open_source(name, tally)
+        if clock is None and not opened.live and not has_times(opened.container):
+            if start_utc_s is not None:
+                opened.close()
+                raise _timeless(name)
+            tally.note("its format stores no times of the frames; a clock (frame,utc) tells them")
+        found = _decoded(opened, name, start_utc_s, thinned, tally)
+    return _told(found, tally) if own else found
+
+
+def _told(found: Iterator[Frame], tally: Tally) -> Iterator[Frame]:
+    try:
+        yield from found
+    except InputError:
+        tally.warn(_logger)
+        raise
+    tally.warn(_logger)
 
 
 class _Thinned:
@@ -137,163 +199,91 @@ def image_size_px(source: str | os.PathLike[str]) -> tuple[int, int]:
     Raises:
         InputError: As `frames`.
     """
-    for frame in frames(source):
+    for frame in frames(source, tally=Tally(source)):
         return frame.image_bgr.shape[1], frame.image_bgr.shape[0]
     raise InputError(f"{source}: holds no frame")
 
 
-def _from_folder(folder: Path, thinned: _Thinned) -> Iterator[Frame]:
-    numbered: dict[int, Path] = {}
-    for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in _IMAGE_SUFFIXES:
-            continue
-        number = re.search(r"(\d+)$", path.stem)
-        if number is None:
-            raise InputError(
-                f"{path}: the name does not end in the number of the frame, as in 000100.jpg"
-            )
-        if len(number[1]) > _MOST_DIGITS:
-            raise InputError(f"{path}: its number is too large for that of a frame")
-        other = numbered.setdefault(int(number[1]), path)
-        if other != path:
-            raise InputError(f"{folder}: {other.name} and {path.name} are both frame {number[1]}")
-    if not numbered:
-        raise InputError(f"{folder}: holds no picture; expected FRAME.jpg or FRAME.png")
-    return _pictures(numbered, thinned)
+def frame_count(source: str | os.PathLike[str]) -> int | None:
+    """How many frames a source has, lost ones included.
+
+    None for a stream, for what cannot be read, and for a long video of which only decoding it
+    would tell.
+    """
+    name = os.fspath(source)
+    if is_address(name):
+        return None
+    tally = Tally(name)
+    try:
+        if Path(name).is_dir():
+            return len(numbered_pictures(Path(name)))
+        known = presentation_of_packets(name, tally)
+        if known is None:
+            return _count_few(name)
+        return len(known[1])
+    except InputError:
+        return None
 
 
-def _pictures(numbered: dict[int, Path], thinned: _Thinned) -> Iterator[Frame]:
-    for index in sorted(numbered):
+def _count_few(name: str) -> int | None:
+    source = open_source(name, Tally(name))
+    try:
+        packets = source.packets()
+        if any(number >= _FEW_PACKETS for number, _ in enumerate(packets)):
+            return None
+    except BreakError:
+        pass
+    finally:
+        source.close()
+    return len(_decoded_times(name, Tally(name))[1])
+
+
+def _pictures(folder: FolderReader, thinned: _Thinned) -> Iterator[Frame]:
+    for index in folder:
         when_s = thinned.time_utc_s(index)
         if thinned.wants(when_s):
-            yield Frame(index, when_s, _picture(numbered[index]))
-
-
-def _picture(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) BGR. OpenCV would show what there is of a picture that is cut short."""
-    try:
-        with Image.open(path) as stored:
-            upright = ImageOps.exif_transpose(stored).convert("RGB")
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path}: is no picture that can be read, or is damaged") from error
-    return np.ascontiguousarray(np.asarray(upright)[..., ::-1])
-
-
-def _from_container(name: str, start_utc_s: float | None, thinned: _Thinned) -> Iterator[Frame]:
-    """Decode a file or a stream; opened at once, so that a bad name is told before the loop."""
-    container = _open(name)
-    try:
-        _stream(container, name)
-    except InputError:
-        container.close()
-        raise
-    return _decoded(container, name, start_utc_s, thinned)
+            image = folder.read(index)
+            if image is not None:
+                yield Frame(index, when_s, image)
+    folder.finish()
 
 
 def _decoded(
-    container: av.container.InputContainer,
-    name: str,
-    start_utc_s: float | None,
-    thinned: _Thinned,
+    source: Source, name: str, start_utc_s: float | None, thinned: _Thinned, tally: Tally
 ) -> Iterator[Frame]:
-    with container:
-        stream = _stream(container, name)
-        stream.thread_type = "AUTO"
-        live = _is_live(container, name)
-        start_s = start_utc_s if start_utc_s is not None else _creation(container)
-        first_s: float | None = None
-        index = packets = 0
-        try:
-            for packet in container.demux(stream):
-                packets += packet.size > 0
-                for picture in packet.decode():
-                    if live:
-                        when_s = time.time()
-                    elif start_s is None or picture.time is None:
-                        when_s = np.nan
-                    else:
-                        first_s = picture.time if first_s is None else first_s
-                        when_s = start_s + (picture.time - first_s)
-                    when_s = thinned.time_utc_s(index, when_s)
-                    if thinned.wants(when_s):
-                        image = picture.to_ndarray(format="bgr24")
-                        yield Frame(index, when_s, _upright(image, picture.rotation))
-                    index += 1
-        except av.FFmpegError as error:
-            raise _broken(name, index, error.strerror) from error
-        if index == 0:
-            raise InputError(f"{name}: no frame can be decoded; the file is damaged or cut short")
-        if packets < stream.frames:
-            raise _broken(name, index, f"the container announces {stream.frames} frames")
-
-
-def _upright(image: np.ndarray, rotation_deg: int) -> np.ndarray:
-    """A picture as players show it: telephones store it lying and say how to turn it."""
-    return np.ascontiguousarray(np.rot90(image, round(rotation_deg / 90)))
-
-
-def _open(name: str) -> av.container.InputContainer:
-    if "://" not in name:
-        path = Path(name)
-        # os.path answers where pathlib raises: for a name that is too long.
-        if not os.path.exists(name):
-            raise InputError(f"{name}: there is no such video, folder or stream")
-        if path.is_dir():
-            raise InputError(f"{name}: is a folder, not a video")
-        if path.stat().st_size == 0:
-            raise InputError(f"{name}: is empty")
+    start_s = start_utc_s if start_utc_s is not None else creation_utc_s(source.container)
+    conversion, decoder = Conversion(source.stream, name, tally), Decoder(source)
     try:
-        return av.open(name)
-    except (av.FFmpegError, OSError) as error:
-        raise _damaged(name, error) from error
+        for index, frame in enumerate(decoder):
+            if frame.picture is None:
+                continue
+            conversion.check_size(frame.picture, index)
+            if source.live:
+                when_s = source.arrival_s()
+            else:
+                when_s = np.nan if start_s is None else start_s + frame.seconds
+            when_s = thinned.time_utc_s(index, when_s)
+            if thinned.wants(when_s):
+                yield Frame(index, when_s, conversion.to_bgr(frame.picture))
+    except BreakError as error:
+        if conversion.size_px is not None:
+            mend = "" if source.live else "; the file is damaged or cut short"
+            raise BrokenOffError(
+                f"{name}: breaks off after {decoder.frames} frames ({error}){mend}"
+            ) from error
+    finally:
+        source.close()
+        decoder.report_in(tally)
+    if conversion.size_px is None:
+        raise _nothing(name)
 
 
-def _stream(container: av.container.InputContainer, name: str) -> av.VideoStream:
-    if not container.streams.video:
-        raise InputError(f"{name}: holds no video")
-    return container.streams.video[0]
+def _nothing(name: str) -> InputError:
+    return InputError(f"{name}: no frame can be decoded; the file is damaged or cut short")
 
 
-def _is_live(container: av.container.InputContainer, name: str) -> bool:
-    if "://" not in name:
-        return False
-    return name.split("://", 1)[0].lower() in _LIVE_SCHEMES or container.duration is None
-
-
-def _creation(container: av.container.InputContainer) -> float | None:
-    stamp = container.metadata.get("creation_time")
-    if stamp is None:
-        return None
-    try:
-        moment = datetime.fromisoformat(stamp)
-    except ValueError:
-        return None
-    # Containers that were never told the time say the epoch of their format.
-    if moment.year <= 1970:
-        return None
-    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-
-
-def _damaged(name: str, error: Exception) -> InputError:
-    reason = getattr(error, "strerror", None) or str(error)
+def _timeless(name: str) -> InputError:
     return InputError(
-        f"{name}: cannot be read as a video ({reason}); the file is damaged, cut short, or of "
-        "another kind"
+        f"{name}: its format stores no times of the frames, so a start does not tell when they "
+        "were taken; give a clock (frame,utc)"
     )
-
-
-def _broken(name: str, index: int, reason: str | None) -> BrokenOffError:
-    return BrokenOffError(
-        f"{name}: breaks off after {index} frames ({reason or 'it cannot be decoded'}); "
-        "the file is damaged or cut short"
-    )
-
-
-def frame_count(source: str | os.PathLike[str]) -> int | None:
-    """How many frames a source has; None for a stream."""
-    path = Path(source)
-    if path.is_dir():
-        return sum(1 for _ in path.iterdir())
-    if "://" in str(source) or not path.is_file():
-        return None
-    return len(video.video_info(path).presentation_s)

@@ -137,6 +137,9 @@ class GaussianProcessRegression(RegressorMixin, BaseEstimator):  # type: ignore[
     @classmethod
     def from_state(cls, arrays: Arrays, settings: Settings) -> Self:
         """Restore the estimator from its `state`."""
+        for name in ("amplitude", "length_scale", "noise_level"):
+            if not 0.0 < settings[name] < np.inf:
+                raise ValueError(f"{name} is no positive number")
         estimator = cls(max_points=settings["max_points"])
         estimator._feature_scaler = Scaler(arrays["feature_mean"], arrays["feature_scale"])
         estimator._target_scaler = Scaler(arrays["target_mean"], arrays["target_scale"])

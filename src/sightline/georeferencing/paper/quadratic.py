@@ -19,6 +19,7 @@ from sightline.georeferencing.paper.estimator import (
 from sightline.georeferencing.paper.vectorisation import ivec, vec_weights
 from sightline.types import FloatArray
 
+_LARGEST = 1e150
 _BLOCK_VALUES = 2**17
 """Feature values that are held at once: a megabyte, which stays in a core's cache."""
 
@@ -141,6 +142,9 @@ class QuadraticKernelRegression(RegressorMixin, BaseEstimator):  # type: ignore[
         estimator.A_ = np.array(arrays["A"])
         estimator.b_ = np.array(arrays["b"])
         estimator._target_moments = np.array(arrays["target_moments"])
+        # Of what is no number, or is none once it is squared, LAPACK seeks the values for ever.
+        if not (np.abs(estimator.A_) < _LARGEST).all():
+            raise ValueError("its sums of monomials are not numbers")
         estimator._solve()
         return estimator
 

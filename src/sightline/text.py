@@ -1,0 +1,59 @@
+"""Texts of others: names and labels, made fit for what they are written to."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+_REPLACED = "\N{REPLACEMENT CHARACTER}"
+_LONE_SURROGATE = re.compile("[\ud800-\udfff]")
+_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# What a spreadsheet takes for the beginning of a formula, also where it is written full width.
+_FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+
+
+def encodable_text(text: str) -> str:
+    """A text without the lone surrogates that no encoding can hold."""
+    return _LONE_SURROGATE.sub(_REPLACED, text)
+
+
+def xml_text(text: str) -> str:
+    """A text without the control characters that no XML file can hold."""
+    return _NOT_IN_XML.sub(_REPLACED, text)
+
+
+def cell_text(text: str) -> str:
+    """A text as a cell of a table that a spreadsheet or a terminal may show.
+
+    A spreadsheet runs what begins like a formula, and that may open an address or another program.
+    An apostrophe before it makes it a text; `text_of_cell` takes it off again. Control characters
+    are replaced, since tables are looked at in terminals.
+    """
+    kept = xml_text(text)
+    return f"'{kept}" if _FORMULA.match(kept) else kept
+
+
+def text_of_cell(cell: str) -> str:
+    """The text that `cell_text` made a cell of."""
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+def terminal_text(text: str) -> str:
+    r"""A text whose control characters are shown (as ``\x1b``), not sent to the terminal.
+
+    Others move the cursor, colour what follows, turn its direction or set the window's title. Line
+    feeds stay.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(c if _shown(c) else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def _shown(character: str) -> bool:
+    return character == "\n" or character.isprintable() or unicodedata.category(character) == "Zs"
+
+
+def figure_text(text: str, most: int = 40) -> str:
+    """A text as a figure can show it: on one line, shortened, and without control characters."""
+    line = " ".join(xml_text(text).split())
+    return line if len(line) <= most else f"{line[: most - 1]}\N{HORIZONTAL ELLIPSIS}"

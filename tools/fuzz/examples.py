@@ -1,0 +1,364 @@
+"""Unspoilt examples of every format that is read, small, and made by the project itself."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+from PIL import Image
+
+from sightline import formats
+from sightline.formats.labels import Labels, write_labels
+from sightline.geodesy import LocalPlane
+from sightline.pipeline.fit import fit
+from sightline.scene import Scene
+from sightline.simulation.simulate import SimulationSettings, simulate
+from sightline.types import PointKind, Track
+
+SIZE_PX = (640, 360)
+"""Of the simulated pictures."""
+
+FRAME_PX = (64, 48)
+"""Of the pictures in the videos and in the folder."""
+
+_START_UTC_S = 1_717_236_000.0
+_VIDEOS = {
+    "clip.mp4": ("mp4", "libx264"),
+    "clip.mov": ("mov", "mpeg4"),
+    "clip.mkv": ("matroska", "libx264"),
+    "clip.avi": ("avi", "mpeg4"),
+    "clip.ts": ("mpegts", "libx264"),
+    "clip.mjpeg": ("mjpeg", "mjpeg"),
+    "clip.webm": ("webm", "libvpx"),
+    "clip.h264": ("h264", "libx264"),
+}
+# Without a number that is drawn anew each time.
+_SAME = {"fflags": "+bitexact"}
+_PICTURES = {"jpg": "JPEG", "png": "PNG", "tif": "TIFF", "webp": "WEBP", "bmp": "BMP"}
+_CITY = """\
+$GPRMC,100000.00,A,5419.39800,N,01008.36400,E,10.20,081.6,010624,,,A*{}
+$GPGGA,100000.00,5419.39800,N,01008.36400,E,1,08,1.0,2.1,M,44.0,M,,*{}
+$GPZDA,100000.00,01,06,2024,00,00*{}
+$HEHDT,081.2,T*{}
+$GPTHS,081.3,A*{}
+$GPVTG,081.6,T,,M,10.20,N,18.9,K,A*{}
+"""
+
+
+def make_examples(folder: Path) -> None:
+    """Write all examples; the same every time with the same libraries.
+
+    Args:
+        folder: Where to; made if it is not there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    _harbour(folder)
+    _logs(folder)
+    _tables(folder)
+    _tracks(folder)
+    _models(folder)
+    _scenes(folder)
+    _detectors(folder)
+    _videos(folder)
+    _pictures(folder)
+    _foreign(folder)
+
+
+def _harbour(folder: Path) -> None:
+    for name, moving in (("still", False), ("aboard", True)):
+        made = folder / name
+        simulate(
+            made,
+            SimulationSettings(
+                video=False,
+                recordings=1 if moving else 2,
+                duration_s=12.0,
+                seed=1,
+                image_size_px=SIZE_PX,
+                moving=moving,
+            ),
+        )
+        for path in sorted(made.glob("truth*")):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        for path in made.glob("detections/*.csv"):
+            _cut(path, 41)
+        for path in made.glob("horizon/*.csv"):
+            path.rename(folder / "horizon.csv")
+
+
+def _scenes(folder: Path) -> None:
+    """The scene of each harbour with what else may stand in one, and one of control points."""
+    still = folder / "still" / "scene.toml"
+    text = still.read_text(encoding="utf-8")
+    for number, key in (("01", "water_level_m = 0.4"), ("02", 'water_levels = "../levels.csv"')):
+        boxes = f'boxes = "boxes/{number}.csv"'
+        text = text.replace(boxes, f"{key}\n{boxes}")
+    still.write_text(text, encoding="utf-8")
+    aboard = folder / "aboard" / "scene.toml"
+    text = aboard.read_text(encoding="utf-8").replace("horizon/01.csv", "../horizon.csv")
+    aboard.write_text(text, encoding="utf-8")
+    (folder / "points.toml").write_text(
+        "[camera]\nlatitude_deg = 54.3233\nlongitude_deg = 10.1394\nimage_size_px = [640, 360]\n"
+        + "".join(
+            f"\n[[control_points]]\npixel_px = [{x}, {y}]\nlatitude_deg = {latitude}\n"
+            f"longitude_deg = {longitude}\n"
+            for x, y, latitude, longitude in _points()
+        ),
+        encoding="utf-8",
+    )
+
+
+def _cut(path: Path, lines: int) -> None:
+    text = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    path.write_text("".join(text[:lines]), encoding="utf-8")
+
+
+def _points() -> list[tuple[float, float, float, float]]:
+    """Pixels and places as a camera 7 m above the water, 500 px long, facing north sees them."""
+    out = []
+    for x, y in ((100, 250), (320, 260), (500, 240), (200, 300), (450, 320), (600, 280)):
+        north_m = 7.0 * 500.0 / (y - 200.0)
+        east_m = (x - 320.0) / 500.0 * north_m
+        latitude, longitude = LocalPlane(54.3233, 10.1394).to_geographic([east_m], [north_m])
+        out.append((float(x), float(y), float(latitude[0]), float(longitude[0])))
+    return out
+
+
+def with_checksum(sentence: str) -> str:
+    """A sentence of NMEA 0183 up to its asterisk, with the checksum after it."""
+    body = sentence[1:].split("*")[0]
+    total = 0
+    for byte in body.encode("utf-8", "surrogateescape"):
+        total ^= byte
+    return f"{sentence[0]}{body}*{total:02X}"
+
+
+def _logs(folder: Path) -> None:
+    fixes = formats.read_fixes(folder / "still" / "target.gpx")
+    formats.write_fixes(fixes[:20], folder / "log.csv")
+    lines = []
+    for second in range(20):
+        time = f"{100000 + second:06d}.00"
+        for line in _CITY.splitlines():
+            moved = line.replace("100000.00", time).replace("39800", f"{39800 + 30 * second:05d}")
+            lines.append(with_checksum(moved))
+    (folder / "log.nmea").write_text("\r\n".join(lines) + "\r\n", encoding="ascii")
+    from pyais import encode_dict
+
+    static = {
+        "type": 5,
+        "mmsi": 211000001,
+        "shipname": "HARBOUR LAUNCH",
+        "callsign": "DABC",
+        "to_bow": 8,
+        "to_stern": 4,
+        "to_port": 2,
+        "to_starboard": 2,
+        "destination": "KIEL",
+    }
+    reports = (folder / "still" / "ais.nmea").read_text(encoding="ascii").splitlines()
+    parts = [f"\\s:sightline,c:1717236001\\{line}" for line in encode_dict(static)]
+    (folder / "feed.nmea").write_text(
+        "\n".join([*reports[:10], *parts, *reports[10:]]) + "\n", encoding="ascii"
+    )
+    own = [
+        encode_dict(
+            {
+                "type": 1,
+                "mmsi": 211000001,
+                "lat": 54.3243 + 1e-5 * second,
+                "lon": 10.1381,
+                "speed": 9.0,
+                "course": 81.0,
+                "second": second,
+            }
+        )[0]
+        for second in range(0, 40, 4)
+    ]
+    (folder / "one.nmea").write_text(
+        "".join(
+            f"2024-06-01T10:00:{4 * i:02d}.120Z {sentence}\n" for i, sentence in enumerate(own)
+        ),
+        encoding="ascii",
+    )
+
+
+def _tables(folder: Path) -> None:
+    boxes = formats.read_boxes(folder / "still" / "boxes" / "01.csv")
+    detections = formats.read_boxes(folder / "still" / "detections" / "01.csv")
+    formats.write_boxes(detections, folder / "boxes.txt")
+    _copy_lines(folder / "still" / "clock" / "01.csv", folder / "clock.csv", 60)
+    target = np.arange(len(boxes)) % 3 > 0
+    write_labels(Labels(boxes, target, np.array([3, 9])), folder / "labels.csv")
+    (folder / "empty.csv").write_text(
+        "recording,frame\n01,4\n01,7\n02,4\n01,90\n", encoding="utf-8"
+    )
+    (folder / "levels.csv").write_text(
+        "time_utc,water_level_m\n2024-06-01T09:00:00Z,0.2\n2024-06-01T10:00:00Z,0.5\n"
+        "2024-06-01T11:00:00Z,0.4\n",
+        encoding="utf-8",
+    )
+    (folder / "points.csv").write_text(
+        "x_px,y_px,latitude_deg,longitude_deg,name\n"
+        + "".join(f"{x},{y},{north},{east},pier\n" for x, y, north, east in _points()),
+        encoding="utf-8",
+    )
+    survey = {
+        str(i): {
+            "x_px": 100.0 * i,
+            "y_px": 260.0 - 10 * i,
+            "lon_utm": 573000.0 + 12 * i,
+            "lat_utm": 6020000.0 + 30 * i,
+            "zone_utm": 32,
+            "hemisphere": "N",
+        }
+        for i in range(1, 5)
+    }
+    (folder / "points.otrfpts").write_text(json.dumps(survey, indent=1), encoding="utf-8")
+    (folder / "stepped.csv").write_text(
+        "frame,utc\n" + "".join(f"{i},2024-06-01 10:00:{i // 12:02d}+00:00\n" for i in range(60)),
+        encoding="utf-8",
+    )
+
+
+def _copy_lines(source: Path, target: Path, lines: int) -> None:
+    shutil.copy(source, target)
+    _cut(target, lines)
+
+
+def _tracks(folder: Path) -> None:
+    import pyogrio
+
+    # Nothing in an example may tell when it was made.
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": "2024-06-01T10:00:00.000Z"})
+    plane = LocalPlane(54.3233, 10.1394)
+    tracks = []
+    for number in (1, 2):
+        n = 12
+        times = _START_UTC_S + 0.5 * np.arange(n)
+        tracks.append(
+            Track(
+                number,
+                times,
+                10.0 * number + 2.0 * np.arange(n),
+                np.full(n, 80.0),
+                np.full(n, 4.0),
+                np.zeros(n),
+                np.tile(np.diag([4.0, 9.0]), (n, 1, 1)),
+                np.tile(np.diag([0.2, 0.3]), (n, 1, 1)),
+                np.full(n, PointKind.MEASURED, dtype=np.int8),
+                plane,
+                label="boat",
+            )
+        )
+    for ending in ("geojson", "gpx", "csv", "kml", "parquet", "gpkg"):
+        formats.write_tracks(tracks, folder / f"tracks.{ending}")
+    # A page of the journal tells of the writing, not of the content.
+    with sqlite3.connect(folder / "tracks.gpkg") as database:
+        database.execute("VACUUM")
+
+
+def _models(folder: Path) -> None:
+    scene = Scene.load(folder / "still" / "scene.toml")
+    for name in ("camera+gpr", "qkr+gpr", "nn", "qkr"):
+        fit(scene, name).save(folder / f"{name.replace('+', '-')}.safetensors")
+
+
+def _detectors(folder: Path) -> None:
+    """A detector that puts out the same whatever it is shown, and one that looks."""
+    boxes = np.tile(np.array([[[8.0], [9.0], [6.0], [5.0], [0.9]]], np.float32), (1, 1, 20))
+    value = numpy_helper.from_array(boxes, "output0")
+    node = helper.make_node("Constant", [], ["output0"], value=value)
+    _save(folder / "constant.onnx", [node], [1, 3, 64, 64], [1, 5, 20], [])
+    nodes = [
+        helper.make_node("ReduceMean", ["images", "channel"], ["grey"], keepdims=1),
+        helper.make_node("AveragePool", ["grey"], ["cells"], kernel_shape=[8, 8], strides=[8, 8]),
+        helper.make_node("Reshape", ["cells", "flat"], ["score"]),
+        helper.make_node("Concat", ["score"] * 5, ["output0"], axis=1),
+    ]
+    stored = [
+        numpy_helper.from_array(np.array([1], np.int64), "channel"),
+        numpy_helper.from_array(np.array([0, 1, -1], np.int64), "flat"),
+    ]
+    _save(folder / "looks.onnx", nodes, ["batch", 3, 64, 64], ["batch", 5, "n"], stored)
+
+
+def _save(
+    path: Path,
+    nodes: list[onnx.NodeProto],
+    shape: list[int | str],
+    found: list[int | str],
+    stored: list[onnx.TensorProto],
+) -> None:
+    pictures = helper.make_tensor_value_info("images", TensorProto.FLOAT, shape)
+    output = helper.make_tensor_value_info("output0", TensorProto.FLOAT, found)
+    graph = helper.make_graph(nodes, "example", [pictures], [output], stored)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 21)], ir_version=10)
+    for key, value in (("names", "{0: 'boat'}"), ("task", "detect"), ("stride", "8")):
+        model.metadata_props.add(key=key, value=value)
+    onnx.save(model, str(path))
+
+
+def frames(count: int = 8) -> Iterator[np.ndarray]:
+    """(H, W, 3) pictures of a bright square that crosses a grey sea."""
+    width, height = FRAME_PX
+    for i in range(count):
+        image = np.full((height, width, 3), 110 + i, dtype=np.uint8)
+        image[20:28, 4 + 6 * i : 12 + 6 * i] = 220
+        yield image
+
+
+def _videos(folder: Path) -> None:
+    for name, (container, codec) in _VIDEOS.items():
+        with av.open(str(folder / name), "w", format=container, options=_SAME) as file:
+            if container in ("mp4", "mov", "matroska"):
+                file.metadata["creation_time"] = "2024-06-01T10:00:00.000000Z"
+            stream = file.add_stream(codec, rate=10)
+            stream.width, stream.height = FRAME_PX
+            stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+            stream.codec_context.thread_count = 1
+            for image in frames():
+                file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+            file.mux(stream.encode())
+
+
+def _pictures(folder: Path) -> None:
+    for ending, kind in _PICTURES.items():
+        for i, image in enumerate(frames(2)):
+            content = io.BytesIO()
+            Image.fromarray(image).save(content, kind)
+            (folder / f"picture-{i}.{ending}").write_bytes(content.getvalue())
+
+
+def _foreign(folder: Path) -> None:
+    """Content that has no business under the name of something else, and might start something."""
+    made = folder / "foreign"
+    made.mkdir(exist_ok=True)
+    contents = {
+        "eps": "%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 48\nshowpage\n%%EOF\n",
+        "vrt": '<OGRVRTDataSource><OGRVRTLayer name="tracks"><SrcDataSource>/etc/hostname'
+        "</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>\n",
+        "m3u8": "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\n/etc/hostname\n#EXT-X-ENDLIST\n",
+        "ffconcat": "ffconcat version 1.0\nfile '/etc/hostname'\n",
+        "sdp": "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nm=video 9 RTP/AVP 96\n",
+        "svg": '<svg xmlns="http://www.w3.org/2000/svg" width="64" height="48"><image href="'
+        'file:///etc/hostname"/></svg>\n',
+        "xxe": '<?xml version="1.0"?><!DOCTYPE gpx [<!ENTITY a SYSTEM "file:///etc/hostname">]>'
+        "<gpx>&a;</gpx>\n",
+        "gzip": "\x1f\x8b\x08",
+        "pickle": "\x80\x04cos\nsystem\n(S'true'\ntR.",
+    }
+    for name, text in contents.items():
+        (made / name).write_bytes(text.encode("latin-1"))
+    for kind in ("GIF", "PPM", "ICO", "TGA"):
+        content = io.BytesIO()
+        Image.fromarray(next(frames(1))).save(content, kind)
+        (made / kind.lower()).write_bytes(content.getvalue())
