@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.errors import InputError
+from sightline.errors import InputError, OutputError
 from sightline.formats import write_boxes, write_fixes, write_tracks
 from sightline.geodesy import LocalPlane
 from sightline.types import Boxes, Fixes, Frame, Track
@@ -44,11 +44,21 @@ def noise() -> Iterator[Frame]:
         yield Frame(index, index / 10.0, rng.integers(0, 255, (120, 160, 3), dtype=np.uint8))
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.geojson", "a.gpx", "a.kml"])
-def test_tracks(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match=f"{name}: cannot be written"), room_for(20_000):
-        write_tracks([a_track()], tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("name", ["a.csv", "a.geojson", "a.gpx", "a.kml", "a.parquet", "a.gpkg"])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.6, 0.7, 0.8, 0.9, 0.99])
+def test_tracks(tmp_path: Path, name: str, share: float) -> None:
+    """Wherever the disk is full: GDAL leaves out the index of points without a word."""
+    path = tmp_path / name
+    write_tracks([a_track()], path)
+    whole_bytes = path.stat().st_size
+    path.write_text("older")
+    with (
+        pytest.raises(OutputError, match=rf"/{name}: cannot be written: "),
+        room_for(int(share * whole_bytes)),
+    ):
+        write_tracks([a_track()], path)
+    assert path.read_text() == "older"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.gpx"])

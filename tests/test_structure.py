@@ -31,6 +31,7 @@ _UNTYPED = {
     "_plugins.py": "objects of other packages",
     "camera/pinhole.py": "a number or a column of them: no type is both",
     "cli/__init__.py": "typer does not export the class of its errors",
+    "cli/track.py": "typer does not export the class of a command's context",
     "detection/_onnxruntime.py": "onnxruntime has no types",
     "detection/onnx.py": "onnxruntime has no types",
     "formats/_files.py": "options of pandas",

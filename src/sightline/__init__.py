@@ -10,7 +10,6 @@
 """
 
 from importlib import import_module as _import_module
-from importlib.metadata import version as _version
 from typing import TYPE_CHECKING, Any
 
 from sightline.errors import FitError, InputError, ModelFileError, SightlineError
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from sightline.tracks import Tracks
     from sightline.types import Boxes, Fixes, Positions, Track
 
-__version__ = _version("sightline")
+    __version__: str
 
 # Where the names are that bring scikit-learn, video and readers along: on first use.
 _LATER = {
@@ -52,6 +51,11 @@ _LATER = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        # Reading it takes longer than all else here.
+        from importlib.metadata import version
+
+        return version("sightline")
     if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, _, attribute = _LATER[name].partition(":")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 
 
 class SightlineError(Exception):
@@ -35,9 +36,38 @@ class BrokenOffError(InputError):
 
     Who reads it keeps what there is, says this line, and ends with status 2.
 
+    Attributes:
+        tracks: What `sightline.track` had made until then.
+
     Examples:
         >>> issubclass(sightline.errors.BrokenOffError, sightline.InputError)
         True
+    """
+
+    tracks: Iterable[object] = ()
+
+
+class OutputError(InputError):
+    """A file that cannot be written: a full disk, no permission, a file where a folder has to be.
+
+    Examples:
+        >>> sightline.Tracks(()).write("harbour.csv/tracks.csv")
+        Traceback (most recent call last):
+        sightline.errors.OutputError: harbour.csv/tracks.csv: cannot be written: Not a directory
+    """
+
+
+class StoppedError(SightlineError):
+    """Work that was asked to stop before there was anything to keep.
+
+    Examples:
+        >>> import threading
+        >>> stop = threading.Event()
+        >>> stop.set()
+        >>> model = sightline.load("model.safetensors")
+        >>> next(sightline.iter_tracks("harbour.csv", model, stop=stop))
+        Traceback (most recent call last):
+        sightline.errors.StoppedError: stopped before anything was seen
     """
 
 

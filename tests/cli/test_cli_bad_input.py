@@ -812,7 +812,6 @@ def room_for(size_bytes: int) -> Iterator[None]:
     "command",
     [
         FIT_QKR,
-        RUN + " --model qkr",
         "compare {h}/scene.toml --models qkr --report {t}/out/r.html",
         "compare {h}/scene.toml --models qkr --map {t}/out/m.png",
         "compare {h}/scene.toml --models qkr --json {t}/out/c.json",
@@ -832,6 +831,23 @@ def test_a_full_disk(sightline: Command, harbour: Path, tmp_path: Path, command:
     assert done.status == 2
     assert re.fullmatch(r"error: .*: cannot be written: .*File too large.*\n", done.err), done.err
     assert everything(tmp_path) == before
+
+
+def test_a_full_disk_keeps_what_fits_of_a_run(
+    sightline: Command, harbour: Path, tmp_path: Path
+) -> None:
+    """Each file of a new folder is there as it would be with room, or not at all."""
+    run = ("run", harbour / "scene.toml", "--model", "qkr", "-o")
+    assert sightline(*run, tmp_path / "whole").status == 0
+    with room_for(40_000):
+        done = sightline(*run, tmp_path / "out", "--json", tmp_path / "run.json")
+    assert done.status == 2
+    assert re.fullmatch(r"error: .*out/report\.html: cannot be written: .*\n", done.err), done.err
+    whole, kept = everything(tmp_path / "whole"), everything(tmp_path / "out")
+    assert {"model.safetensors", "tracks/01.gpx"} <= set(kept) < set(whole)
+    assert all(whole[name] == content for name, content in kept.items())
+    files = json.loads((tmp_path / "run.json").read_text())["files"].values()
+    assert all(Path(file).exists() for file in files)
 
 
 def test_a_full_disk_for_what_is_printed(
@@ -882,16 +898,33 @@ def test_a_full_disk_leaves_an_earlier_run_as_it_was(
     assert everything(tmp_path) == before
 
 
-def test_a_bug_leaves_no_folder_of_results(
+def test_a_bug_in_the_report_costs_nothing_but_the_report(
     sightline: Command, harbour: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("a bug")
 
     monkeypatch.setattr("sightline.reporting.run_report.run_page", fail)
+    out = tmp_path / "a" / "b"
+    with pytest.raises(RuntimeError, match="a bug"):
+        sightline("run", harbour / "scene.toml", "-o", out, "--model", "qkr")
+    assert {path.name for path in out.iterdir()} == {
+        *("map.png", "model.safetensors", "report.json", "tracks")
+    }
+    assert len(list((out / "tracks").iterdir())) == 12
+
+
+def test_a_bug_in_the_work_leaves_nothing(
+    sightline: Command, harbour: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("a bug")
+
+    before = everything(tmp_path)
+    monkeypatch.setattr("sightline.pipeline.run.run", fail)
     with pytest.raises(RuntimeError, match="a bug"):
         sightline("run", harbour / "scene.toml", "-o", tmp_path / "a" / "b", "--model", "qkr")
-    assert not (tmp_path / "a").exists()
+    assert everything(tmp_path) == before
 
 
 def test_debug_shows_where_an_error_came_from(sightline: Command, tmp_path: Path) -> None:

@@ -6,11 +6,12 @@ import errno
 import logging
 import sys
 import traceback
+from contextlib import suppress
 from typing import Any
 
 import typer
 
-from sightline import __version__
+from sightline import __version__, signals
 from sightline.cli import common
 from sightline.cli.check import check
 from sightline.cli.compare import compare
@@ -21,15 +22,19 @@ from sightline.cli.evaluate import evaluate
 from sightline.cli.fit import fit
 from sightline.cli.run import run
 from sightline.cli.simulate import simulate
-from sightline.cli.track import track
-from sightline.errors import SightlineError
+from sightline.cli.track import TrackCommand, track
+from sightline.errors import SightlineError, StoppedError
 from sightline.text import terminal_text
 
 # What is wrong with a command line: typer brings it along under a private name.
 _CommandError: Any = typer.BadParameter.__mro__[2]
 
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+# Of standard output as well, which may be full, closed, or a terminal that is gone.
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF, errno.EIO)
 _NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ELOOP)
+
+# What typer makes of an interrupt.
+_INTERRUPTED = 130
 
 app = typer.Typer(
     name="sightline",
@@ -40,7 +45,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (demo, check, run, fit, compare, track, evaluate, detect, simulate):
-    app.command()(command)
+    app.command(cls=TrackCommand if command is track else None)(command)
 app.add_typer(detector)
 
 
@@ -62,8 +67,14 @@ def _options(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 on success, 2 on bad input, 1 on a bug."""
-    sys.exit(_run(arguments))
+    """Run the command line and exit.
+
+    With 0 on success, 2 on bad input, 1 on a bug, 130 where Ctrl-C broke it off (128 and the number
+    of the signal for others).
+    """
+    with signals.installed():
+        status = _run(arguments)
+    sys.exit(status)
 
 
 class _Warnings(logging.Handler):
@@ -86,31 +97,63 @@ def _run(arguments: list[str] | None) -> int:
     logging.getLogger("sightline").addHandler(warnings)
     try:
         status = app(args=arguments, standalone_mode=False, obj=settings)
-    except SightlineError as error:
-        if settings.debug:
-            sys.stderr.write(terminal_text(traceback.format_exc()))
-        return _refuse(str(error))
-    except _CommandError as error:
-        # There is no message where the help was printed, since no command was given.
-        return _refuse(error.format_message())
-    except (typer.Abort, KeyboardInterrupt):
-        common.stderr.print("stopped")
-        return 130
-    except BrokenPipeError:
-        # Whoever read the output has read enough.
-        sys.stdout = None
-        return 0
-    except OSError as error:
-        if error.errno in _NO_ROOM:
-            return _refuse(f"the output cannot be written: {error.strerror}")
-        if error.errno in _NOT_ALLOWED and error.filename is not None:
-            return _refuse(f"{error.filename}: cannot be used: {error.strerror}")
-        raise
-    except MemoryError as error:
-        return _refuse(f"there is not enough memory for this: {error}")
+        if status == _INTERRUPTED or signals.broken_off():
+            return _stopped()
+        _flush()
+    except BaseException as error:
+        # What is broken off may raise anything: a library that was being loaded is not installed.
+        if signals.broken_off():
+            if settings.debug:
+                sys.stderr.write(terminal_text(traceback.format_exc()))
+            return _stopped()
+        return _status_of(error, settings)
     finally:
         logging.getLogger("sightline").removeHandler(warnings)
     return status if isinstance(status, int) else 0
+
+
+def _stopped() -> int:
+    with suppress(OSError):
+        common.stderr.print("stopped")
+    return signals.status()
+
+
+def _status_of(error: BaseException, settings: common.Settings) -> int:
+    """Exit status for what a command raised, once it is told; a bug is raised anew."""
+    if isinstance(error, StoppedError | typer.Abort | KeyboardInterrupt):
+        return _stopped()
+    if isinstance(error, SightlineError):
+        if settings.debug:
+            sys.stderr.write(terminal_text("".join(traceback.format_exception(error))))
+        return _refuse(str(error))
+    if isinstance(error, _CommandError):
+        # There is no message where the help was printed, since no command was given.
+        return _refuse(error.format_message())
+    if isinstance(error, BrokenPipeError) or _is_of_broken_pipe(error):
+        # Whoever read the output has read enough; where typer saw that, it exits with 1.
+        sys.stdout = None
+        return 0
+    if isinstance(error, OSError):
+        if error.errno in _NO_ROOM and error.filename is None:
+            # What is left in it cannot be written at the end either.
+            sys.stdout = None
+            return _refuse(f"the output cannot be written: {error.strerror}")
+        if error.errno in _NO_ROOM:
+            return _refuse(f"{error.filename}: cannot be written: {error.strerror}")
+        if error.errno in _NOT_ALLOWED and error.filename is not None:
+            return _refuse(f"{error.filename}: cannot be used: {error.strerror}")
+    if isinstance(error, MemoryError):
+        return _refuse(f"there is not enough memory for this: {error}")
+    raise error
+
+
+def _is_of_broken_pipe(error: BaseException) -> bool:
+    return isinstance(error, SystemExit) and isinstance(error.__context__, BrokenPipeError)
+
+
+def _flush() -> None:
+    if sys.stdout is not None:
+        sys.stdout.flush()
 
 
 def _refuse(message: str) -> int:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sightline.cli.common import check_scene_is_there, keep_apart, say, write_result
+from sightline.cli.common import check_scene_is_there, say, write_result
 from sightline.cli.options import JsonOption
+from sightline.cli.outputs import keep_apart
 from sightline.errors import InputError
 
 if TYPE_CHECKING:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,7 +16,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from sightline.errors import InputError, no_model_file, no_scene_file
+from sightline.atomic import atomic_folder
+from sightline.errors import no_model_file, no_scene_file
 from sightline.text import terminal_text
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ class _Console(Console):
         raise BrokenPipeError
 
 
-# A file is as wide as a table wants.
-stdout = _Console(width=None if sys.stdout.isatty() else 200)
+# A file is as wide as a table wants. Where standard output is closed, there is none.
+stdout = _Console(width=None if sys.stdout is not None and sys.stdout.isatty() else 200)
 stderr = Console(stderr=True)
 
 
@@ -98,18 +98,6 @@ def write_result(path: Path | None, content: Mapping[str, object]) -> None:
         write_json(path, content)
 
 
-def keep_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | str | None]) -> None:
-    """Raise InputError where a result would overwrite its own input.
-
-    Raises:
-        InputError: An output is an input.
-    """
-    read = {os.path.realpath(path) for path in inputs if path is not None}
-    for path in outputs:
-        if path is not None and os.path.realpath(path) in read:
-            raise InputError(f"{path}: is read by this command; give the result another name")
-
-
 def check_scene_is_there(path: Path) -> None:
     """Raise where the scene file does not exist, before the library that reads it is loaded.
 
@@ -135,25 +123,38 @@ def check_model_is_there(path: Path | None) -> None:
 
 
 @contextmanager
-def folder_for_results(path: Path) -> Iterator[Path]:
-    """Create a folder for results; removed again if the work fails and it was new.
+def folder_for_results(
+    path: Path, inputs: Iterable[str | os.PathLike[str]] = ()
+) -> Iterator[ResultsFolder]:
+    """A folder for results, which appear when the block ends well; see `atomic_folder`.
+
+    Args:
+        path: Where they go.
+        inputs: What is read, and must not be replaced.
 
     Raises:
-        InputError: There is a file of that name, or the folder cannot be made.
+        InputError: There is a file of that name, the folder cannot be made, or another run is
+            writing to it.
     """
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: is a file; give a folder for the results")
-    new = [folder for folder in (path, *path.parents) if not folder.exists()]
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be made: {error.strerror}") from error
-    try:
-        yield path
-    except BaseException:
-        if new:
-            shutil.rmtree(new[-1])
-        raise
+    with atomic_folder(path, inputs=inputs) as work:
+        yield ResultsFolder(work, path)
+
+
+@dataclass(frozen=True)
+class ResultsFolder:
+    """Where results are written, and where they will be.
+
+    Attributes:
+        work: Of the run's own.
+        final: That somebody asked for.
+    """
+
+    work: Path
+    final: Path
+
+    def place(self, path: Path) -> Path:
+        """Where a file of the working folder will be."""
+        return self.final / path.relative_to(self.work)
 
 
 def describe(report: Report, what: str) -> str:

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import check_scene_is_there, keep_apart, progress, say, stdout
+from sightline.cli.common import check_scene_is_there, progress, say, stdout
 from sightline.cli.defaults import MODELS
 from sightline.cli.options import JsonOption, SceneArgument, SeedOption
+from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.parsing import parse_names
 
 
@@ -48,20 +49,28 @@ def compare(
     from sightline.scene import Scene
 
     loaded = Scene.load(scene)
+    keep_apart([map_file, report, json], loaded.files)
     with progress() as tell:
         result, placed = compare_models(
             loaded, parse_names(models), trajectory=trajectory, seed=seed, progress=tell
         )
+    attempts = Attempts()
+    said: dict[str, Path] = {}
     if json is not None:
-        result.write(json)
+        with attempts.one():
+            result.write(json)
     if map_file is not None:
-        panels = [MapPanel(name, single_pairs(parts)) for name, parts in placed.items()]
-        save_figure(map_figure(panels), map_file)
+        with attempts.one():
+            panels = [MapPanel(name, single_pairs(parts)) for name, parts in placed.items()]
+            save_figure(map_figure(panels), map_file)
+            said["map"] = map_file
     if report is not None:
-        write_page(compare_page(result, placed, loaded.camera.name or scene.stem), report)
+        with attempts.one():
+            write_page(compare_page(result, placed, loaded.camera.name or scene.stem), report)
+            said["report"] = report
     stdout.print(overview_table(result, "single boxes, each recording left out"))
     stdout.print(paper_table(result.models, "without the trajectory stage"))
     stdout.print(paper_table(result.smoothed, "with the trajectory stage"))
-    for what, path in (("map", map_file), ("report", report)):
-        if path is not None:
-            say(f"{what}: {path}")
+    for what, path in said.items():
+        say(f"{what}: {path}")
+    attempts.check()

@@ -9,6 +9,7 @@ import typer
 
 from sightline.cli.common import folder_for_results, progress, say, write_result
 from sightline.cli.options import JsonOption, SeedOption
+from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.run import result_dict, tell_result
 
 
@@ -27,23 +28,31 @@ def demo(
     The camera is learned from the boxes and the log of two recordings; the third is given as a
     video alone, in which a detector has to find the boats.
     """
+    keep_apart([json], [])
     from sightline.pipeline.run import run as run_scene
-    from sightline.reporting.run_report import write_run
+    from sightline.reporting.run_report import write_run_files
     from sightline.scene import Scene
     from sightline.simulation.simulate import SimulationSettings
     from sightline.simulation.simulate import simulate as simulate_harbour
 
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
-            folder / "harbour",
+            folder.work / "harbour",
             SimulationSettings(seed=seed, duration_s=duration_s, rate_hz=10.0, unlabelled=1),
             progress=lambda share: tell("rendering the harbour", share),
         )
         result = run_scene(Scene.load(made.scene), seed=seed, progress=tell)
         tell("writing the results", float("nan"))
-        paths = write_run(result, folder / "results")
+        written = write_run_files(result, folder.work / "results", output / "results")
+        if written.failed and output.exists():
+            # Of an earlier demo something would stay that does not belong to the rest.
+            raise written.failed[0]
+    attempts = Attempts()
+    attempts.failed += written.failed
+    paths = {what: folder.place(path) for what, path in written.paths.items()}
+    with attempts.one():
         write_result(json, result_dict(result, paths))
-    say(f"A harbour was simulated in {folder / 'harbour'}.")
+    say(f"A harbour was simulated in {output / 'harbour'}.")
     camera = result.model.camera
     truth = made.harbour.camera
     if camera is not None:
@@ -53,4 +62,6 @@ def demo(
             f"{camera.pitch_deg:.2f} degrees (true {truth.pitch_deg:.2f})"
         )
     tell_result(result, paths)
-    say(f"\nOpen {paths['report']} in a browser.")
+    if "report" in paths:
+        say(f"\nOpen {paths['report']} in a browser.")
+    attempts.check()

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.common import check_model_is_there, keep_apart, progress, say, write_result
+from sightline import signals
+from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR
 from sightline.cli.options import (
     ClassesOption,
@@ -23,8 +24,9 @@ from sightline.cli.options import (
     ViewsOption,
     detector_options,
 )
+from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.parsing import parse_time
-from sightline.errors import InputError
+from sightline.errors import BrokenOffError, InputError
 
 
 def detect(
@@ -52,32 +54,58 @@ def detect(
     clock: ClockOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Find boxes in a video, a folder of frames or a stream."""
-    keep_apart([output, json], [source, model, clock])
+    """Find boxes in a video, a folder of frames or a stream.
+
+    Ctrl-C ends the source, and the boxes until then are written; a second one breaks off.
+    """
+    keep_apart([output, json], [source, model, clock, detector])
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video or folder")
     check_model_is_there(model)
-    from sightline import formats, video
-    from sightline.detection import detect as detected
-    from sightline.detection.run import same_size
-    from sightline.georeferencing.georeferencer import load_model
-    from sightline.pipeline.sources import is_table, make_detector
-    from sightline.video.reader import frame_count
+    with signals.stoppable() as stop:
+        from sightline import formats, stopping, video
+        from sightline.detection import detect as detected
+        from sightline.detection.run import same_size
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.sources import Ending, is_stream, is_table, make_detector
+        from sightline.video.reader import frame_count
 
-    if is_table(source):
-        raise InputError(f"{source}: is a table; boxes are found in a video, frames or a stream")
-    options = detector_options(decoder, classes, threshold, provider, views)
-    fitted = load_model(model) if model is not None else None
-    found = make_detector(detector, fitted, options)
-    times = formats.read_clock(clock) if clock is not None else None
-    frames = video.frames(source, clock=times, start_utc_s=parse_time("--start-utc", start_utc))
-    if fitted is not None:
-        frames = same_size(frames, fitted.image_size_px, source)
-    count, boxes_found = 0, 0
-    with formats.box_writer(output) as writer, progress() as tell:
-        for boxes in detected(frames, found, frame_count(source), tell):
-            count, boxes_found = count + 1, boxes_found + len(boxes)
-            writer.add(boxes)
-    write_result(json, {"frames": count, "boxes": boxes_found, "file": str(output)})
+        if is_table(source):
+            raise InputError(
+                f"{source}: is a table; boxes are found in a video, frames or a stream"
+            )
+        options = detector_options(decoder, classes, threshold, provider, views)
+        fitted = load_model(model) if model is not None else None
+        found = make_detector(detector, fitted, options)
+        times = formats.read_clock(clock) if clock is not None else None
+        start_utc_s = parse_time("--start-utc", start_utc)
+        ending = Ending(stop)
+        frames = ending.frames(
+            lambda: video.frames(source, clock=times, start_utc_s=start_utc_s), source
+        )
+        if fitted is not None:
+            frames = same_size(frames, fitted.image_size_px, source)
+        count, boxes_found = 0, 0
+        attempts = Attempts()
+        with Outputs(formats.box_writer, attempts) as written, progress() as tell:
+            written.open([output])
+            known = stopping.call(lambda: frame_count(source), stop)
+            for boxes in detected(frames, found, known, tell):
+                count, boxes_found = count + 1, boxes_found + len(boxes)
+                written.add(boxes)
+            written.finish()
+    if stop.is_set():
+        say_aside("stopped:", f"{source}: the boxes until then are written", "yellow")
+    elif not ending.early and is_stream(source):
+        say_aside("note:", f"{source}: has ended; the boxes until then are written", "yellow")
+    try:
+        ending.check()
+    except BrokenOffError as error:
+        attempts.failed.append(error)
+    result: dict[str, object] = {"frames": count, "boxes": boxes_found, "file": str(output)}
+    with attempts.one():
+        write_result(json, {**result, "complete": not ending.early})
     say(f"{boxes_found} boxes in {count} frames")
-    say(f"boxes: {output}")
+    for path in written.written:
+        say(f"boxes: {path}")
+    attempts.check()

@@ -12,11 +12,11 @@ from sightline.cli.common import (
     check_scene_is_there,
     describe,
     describe_forecast,
-    keep_apart,
     say,
 )
 from sightline.cli.defaults import DEFAULT_TRAJECTORY
 from sightline.cli.options import JsonOption
+from sightline.cli.outputs import Attempts, keep_apart
 from sightline.errors import InputError
 
 
@@ -67,8 +67,10 @@ def evaluate(
         from sightline.pipeline.evaluate import evaluate as evaluate_any
         from sightline.scene import Scene
 
+        scene = Scene.load(what)
+        keep_apart([json], scene.files)
         report = evaluate_any(
-            Scene.load(what),
+            scene,
             model=load_model(model),
             smooth=smooth,
             trajectory=trajectory,
@@ -92,8 +94,10 @@ def evaluate(
         report = evaluate_any(tracks, fixes=fixes, track_id=track_id, mmsi=mmsi, delta_s=delta_s)
         if plane is None:
             report = report.without_camera()
+    attempts = Attempts()
     if json is not None:
-        report.write(json)
+        with attempts.one():
+            report.write(json)
     if report.tracks is not None:
         say(describe(report, "tracks"))
         used = ", ".join(str(number) for number in report.tracks.used)
@@ -105,3 +109,4 @@ def evaluate(
             say(describe_forecast(error, f"forecast over {ahead} s"))
     for name, part in report.recordings.items():
         say("  " + describe(part, name))
+    attempts.check()

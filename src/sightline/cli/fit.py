@@ -10,7 +10,6 @@ import typer
 from sightline.cli.common import (
     check_model_is_there,
     check_scene_is_there,
-    keep_apart,
     progress,
     say,
     write_result,
@@ -23,6 +22,7 @@ from sightline.cli.options import (
     SceneArgument,
     SeedOption,
 )
+from sightline.cli.outputs import Attempts, keep_apart
 
 
 def fit(
@@ -62,7 +62,7 @@ def fit(
     Without drawn boxes, the logged vessels are recognised among the recordings' detections, or
     among what the detector finds in their pictures.
     """
-    keep_apart([output, json], [scene, update])
+    keep_apart([output, json], [scene, update, detector])
     check_scene_is_there(scene)
     check_model_is_there(update)
     from sightline.georeferencing.georeferencer import load_model
@@ -72,6 +72,7 @@ def fit(
     with progress() as tell:
         tell(f"fitting {model}", float("nan"))
         loaded = Scene.load(scene)
+        keep_apart([output, json], loaded.files)
         if update is not None:
             old = load_model(update)
             model = old.model
@@ -92,9 +93,13 @@ def fit(
                 largest_offset_s=largest_offset_s,
                 progress=tell,
             )
-        fitted.save(output)
+        attempts = Attempts()
+        with attempts.one():
+            fitted.save(output)
+        saved = not attempts.failed
     report = fitted.report
-    write_result(json, {"model": str(output), "fit": report.to_dict()})
+    with attempts.one():
+        write_result(json, {"model": str(output), "fit": report.to_dict()})
     points = f"{report.control_points} control points"
     if report.n:
         more = f" and {points}" if report.control_points else ""
@@ -118,4 +123,6 @@ def fit(
         )
     for statement in report.statements:
         say(f"note: {statement}")
-    say(f"model: {output}")
+    if saved:
+        say(f"model: {output}")
+    attempts.check()

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline.atomic import check_places
 from sightline.cli.check import refuse_problems
 from sightline.cli.common import (
     check_scene_is_there,
     describe,
     folder_for_results,
-    keep_apart,
     progress,
     say,
     warn,
@@ -28,6 +28,7 @@ from sightline.cli.options import (
     SeedOption,
     TrajectoryOption,
 )
+from sightline.cli.outputs import Attempts, keep_apart
 
 if TYPE_CHECKING:
     from sightline.pipeline.run import RunResult
@@ -46,20 +47,25 @@ def run(
     json: JsonOption = None,
 ) -> None:
     """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate."""
-    keep_apart([json], [scene])
+    keep_apart([json], [scene, detector])
     check_scene_is_there(scene)
     from sightline.pipeline.check import check_scene
     from sightline.pipeline.run import run as run_scene
     from sightline.pipeline.track import TrackSettings
-    from sightline.reporting.run_report import write_run
+    from sightline.reporting.run_report import check_earlier_run, run_file_names, write_run_files
     from sightline.scene import Scene
 
     loaded = Scene.load(scene)
+    inputs: list[Path | str] = [*loaded.files, detector]
+    places = [output / name for name in run_file_names(loaded)]
+    keep_apart([json], [*inputs, *places])
+    if output.is_dir():
+        check_places(places, inputs)
     checked = check_scene(loaded, every_picture=False)
     for line in checked.warnings:
         warn(line)
     refuse_problems(checked)
-    with folder_for_results(output) as folder, progress() as tell:
+    with folder_for_results(output, inputs) as folder, progress() as tell:
         result = run_scene(
             loaded,
             model=model,
@@ -69,9 +75,15 @@ def run(
             progress=tell,
         )
         tell("writing the results", float("nan"))
-        paths = write_run(result, folder)
+        written = write_run_files(result, folder.work, output)
+        check_earlier_run(written, folder.work, output)
+    attempts = Attempts()
+    attempts.failed += written.failed
+    paths = {what: folder.place(path) for what, path in written.paths.items()}
+    with attempts.one():
         write_result(json, result_dict(result, paths))
     tell_result(result, paths)
+    attempts.check()
 
 
 def tell_result(result: RunResult, paths: dict[str, Path]) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from sightline.cli.common import folder_for_results, progress, say, write_result
 from sightline.cli.options import JsonOption, SeedOption
+from sightline.cli.outputs import Attempts, keep_apart
 
 if TYPE_CHECKING:
     from sightline.simulation.simulate import ClockKind
@@ -35,10 +36,11 @@ def simulate(
     from sightline.simulation.simulate import SimulationSettings
     from sightline.simulation.simulate import simulate as simulate_harbour
 
+    keep_apart([json], [])
     kind: ClockKind = clock  # type: ignore[assignment]
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(
-            folder,
+            folder.work,
             SimulationSettings(
                 seed=seed,
                 recordings=recordings,
@@ -50,7 +52,11 @@ def simulate(
             ),
             progress=lambda share: tell("rendering", share),
         )
+    scene = folder.place(made.scene)
+    attempts = Attempts()
+    with attempts.one():
         write_result(
-            json, {"scene": str(made.scene), "recordings": [one.name for one in made.recordings]}
+            json, {"scene": str(scene), "recordings": [one.name for one in made.recordings]}
         )
-    say(f"scene: {made.scene}")
+    say(f"scene: {scene}")
+    attempts.check()

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
-from sightline.cli.common import check_model_is_there, keep_apart, progress, say, write_result
+from sightline import signals
+from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
     ClockOption,
@@ -20,14 +21,58 @@ from sightline.cli.options import (
     StartOption,
     TrajectoryOption,
 )
+from sightline.cli.outputs import Attempts, Outputs, check_holds_tracks, keep_apart
 from sightline.cli.parsing import parse_time, parse_water_level
-from sightline.errors import InputError
+from sightline.errors import BrokenOffError, InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from sightline.types import Track
+
+_FURTHER = "sightline.further"
+
+
+class TrackCommand(TyperCommand):
+    """Takes what follows ``-o FILE``, behind the source, as further files for the tracks.
+
+    What stands anywhere else is a second source. So a pattern of a shell's that matches several
+    tables (``*.csv``) names no output.
+    """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put ``-o`` before each further file."""
+        ctx.meta[_FURTHER] = []
+        with_value = {
+            name
+            for parameter in self.get_params(ctx)
+            if not getattr(parameter, "is_flag", True)
+            for name in parameter.opts
+        }
+        out: list[str] = []
+        source = after_output = False
+        waiting = iter(args)
+        for word in waiting:
+            if word == "--":
+                out += [word, *waiting]
+            elif word.startswith("-") and word != "-":
+                name = word.partition("=")[0] if word.startswith("--") else word[:2]
+                after_output = name in ("-o", "--output")
+                out.append(word)
+                if word in with_value:
+                    out += [value for value in [next(waiting, None)] if value is not None]
+            elif source and after_output:
+                ctx.meta[_FURTHER].append(Path(word))
+                out += ["-o", word]
+            else:
+                source, after_output = True, False
+                out.append(word)
+        rest: list[str] = super().parse_args(ctx, out)
+        return rest
 
 
 def track(
+    context: typer.Context,
     source: Annotated[
         str,
         typer.Argument(
@@ -48,7 +93,11 @@ def track(
     ],
     more: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[FILE]...", help="Further files for the tracks, after -o FILE."),
+        typer.Argument(
+            metavar="[FILE]...",
+            help="Further files for the tracks, after SOURCE and -o FILE; one that exists is "
+            "replaced only if it holds tracks.",
+        ),
     ] = None,
     start_utc: StartOption = None,
     clock: ClockOption = None,
@@ -92,68 +141,120 @@ def track(
     ] = True,
     json: JsonOption = None,
 ) -> None:
-    """Make smooth tracks of everything in a video, a stream or a table of boxes."""
-    output = [*output, *(more or [])]
+    """Make smooth tracks of everything in a video, a stream or a table of boxes.
+
+    Ctrl-C ends the source, and what was tracked until then is written; a second one breaks off.
+    """
+    if more:
+        raise InputError(
+            f"{more[0]}: is a second source; give one at a time, and further files for its tracks "
+            "after -o FILE"
+        )
     ahead = [] if forecast_s is None else [_forecast_path(path) for path in output]
     water = parse_water_level(water_level)
     table = water if isinstance(water, Path) else None
-    keep_apart([*output, *ahead, json], [source, model, clock, platform, horizon, table])
+    inputs: list[Path | str | None] = [source, model, clock, platform, horizon, table, detector]
+    keep_apart([*output, *ahead, json], inputs)
+    for path in context.meta[_FURTHER]:
+        check_holds_tracks(path)
     check_model_is_there(model)
-    from sightline import formats
-    from sightline.georeferencing.georeferencer import load_model
-    from sightline.pipeline.track import TrackSettings, iter_tracks
+    with signals.stoppable() as stop:
+        from sightline import formats
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.sources import is_stream
+        from sightline.pipeline.track import TrackSettings, iter_tracks
 
-    fitted = load_model(model)
-    if "://" not in source and not os.path.exists(source):
-        raise InputError(f"{source}: there is no such video, folder or table")
-    settings = TrackSettings(
-        trajectory=trajectory, interval_s=interval_s, compensate_rotation=compensate_rotation
-    )
-    if forecast_s is not None:
-        settings = replace(settings, forecast_s=forecast_s)
-    times = formats.read_clock(clock) if clock is not None else None
-    horizons = None
-    if horizon is not None:
-        if times is None:
-            raise InputError(
-                f"{horizon}: names frames, and nothing tells their times; give a clock (--clock)"
-            )
-        horizons = formats.read_horizons_csv(horizon, times)
-    count, points = 0, 0
-    with ExitStack() as stack, progress() as tell:
-        writers = [stack.enter_context(formats.track_writer(path)) for path in output]
-        forecast_writers = [stack.enter_context(formats.track_writer(path)) for path in ahead]
-
-        def write_forecast(forecast: Track) -> None:
-            for writer in forecast_writers:
-                writer.add(forecast)
-
-        for made in iter_tracks(
-            source,
-            fitted,
-            detector=detector,
-            clock=times,
-            start_utc_s=parse_time("--start-utc", start_utc),
-            platform=platform,
-            horizons=horizons,
-            water_levels=water,
-            settings=settings,
-            progress=tell,
-            forecasts=write_forecast if forecast_writers else None,
+        fitted = load_model(model)
+        if "://" not in source and not os.path.exists(source):
+            raise InputError(f"{source}: there is no such video, folder or table")
+        settings = TrackSettings(
+            trajectory=trajectory, interval_s=interval_s, compensate_rotation=compensate_rotation
+        )
+        if forecast_s is not None:
+            settings = replace(settings, forecast_s=forecast_s)
+        times = formats.read_clock(clock) if clock is not None else None
+        horizons = None
+        if horizon is not None:
+            if times is None:
+                raise InputError(
+                    f"{horizon}: names frames, and nothing tells their times; give a clock "
+                    "(--clock)"
+                )
+            horizons = formats.read_horizons_csv(horizon, times)
+        attempts = Attempts()
+        with (
+            Outputs(formats.track_writer, attempts) as tracks,
+            Outputs(formats.track_writer, attempts) as forecasts,
+            progress() as tell,
         ):
-            count, points = count + 1, points + len(made)
-            for writer in writers:
-                writer.add(made)
-    written = [str(path) for path in output]
-    result: dict[str, object] = {"tracks": count, "points": points, "files": written}
+            tracks.open(output)
+            forecasts.open(ahead)
+            found = iter_tracks(
+                source,
+                fitted,
+                detector=detector,
+                clock=times,
+                start_utc_s=parse_time("--start-utc", start_utc),
+                platform=platform,
+                horizons=horizons,
+                water_levels=water,
+                settings=settings,
+                progress=tell,
+                forecasts=forecasts.add if ahead else None,
+                stop=stop,
+            )
+            summary = _write(found, tracks, is_stream(source))
+            tracks.finish()
+            forecasts.finish()
+    if stop.is_set():
+        say_aside("stopped:", f"{source}: what was tracked until then is written", "yellow")
+    elif summary.broken is not None:
+        attempts.failed.append(summary.broken)
+    elif is_stream(source):
+        say_aside("note:", f"{source}: has ended; what was tracked until then is written", "yellow")
+    result: dict[str, object] = {
+        "tracks": summary.tracks,
+        "points": summary.points,
+        "files": [str(path) for path in tracks.written],
+        "complete": summary.broken is None and not stop.is_set(),
+    }
     if ahead:
-        result["forecasts"] = [str(path) for path in ahead]
-    write_result(json, result)
-    say(f"{count} tracks, {points} points")
-    for path in output:
+        result["forecasts"] = [str(path) for path in forecasts.written]
+    with attempts.one():
+        write_result(json, result)
+    say(f"{summary.tracks} tracks, {summary.points} points")
+    for path in tracks.written:
         say(f"tracks: {path}")
-    for path in ahead:
+    for path in forecasts.written:
         say(f"forecasts: {path}")
+    attempts.check()
+
+
+@dataclass
+class _Summary:
+    """What was written of a source, and what ended it too early."""
+
+    tracks: int = 0
+    points: int = 0
+    broken: Exception | None = None
+
+
+def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Summary:
+    """Write tracks to the end of their source; of a stream whatever ends it."""
+    summary = _Summary()
+    try:
+        for made in found:
+            tracks.add(made)
+            summary.tracks += 1
+            summary.points += len(made)
+    except BrokenOffError as error:
+        summary.broken = error
+    except Exception as error:
+        # Nobody can send it again.
+        if not (stream and summary.tracks and tracks.any_open):
+            raise
+        summary.broken = error
+    return summary
 
 
 def _forecast_path(path: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from sightline.types import Track
 
 _LAYER = "tracks"
 _ROWS_AT_ONCE = 50_000
+_MOST_TEXT = 120
 _MAGIC = b"SQLite format 3\0"
 _LONGEST_CELL = 1_000_000
 # Pages of a damaged file may lead to one another without an end.
@@ -31,6 +33,7 @@ def geopackage_track_writer(path: Path) -> Iterator[GeoPackageTrackWriter]:
     writer = GeoPackageTrackWriter(path)
     yield writer
     writer.flush()
+    writer.check()
 
 
 class GeoPackageTrackWriter:
@@ -40,7 +43,7 @@ class GeoPackageTrackWriter:
         self._geopandas = module("geopandas", "geopackage")
         self._path = path
         self._waiting = [_track_table.empty()]
-        self._rows = 0
+        self._rows = self._written = 0
 
     def add(self, track: Track) -> None:
         """Add one track; it is written with others, since each write is a transaction."""
@@ -55,6 +58,7 @@ class GeoPackageTrackWriter:
     def flush(self) -> None:
         """Write what is waiting."""
         rows = pd.concat([part for part in self._waiting if len(part)] or self._waiting)
+        self._written += len(rows)
         self._waiting, self._rows = [], 0
         frame = self._geopandas.GeoDataFrame(
             rows,
@@ -62,14 +66,42 @@ class GeoPackageTrackWriter:
             crs="EPSG:4326",
         )
         mode = "a" if self._path.exists() else "w"
-        frame.to_file(
-            self._path,
-            layer=_LAYER,
-            driver="GPKG",
-            mode=mode,
-            geometry_type="Point",
-            engine="pyogrio",
-        )
+        errors = module("pyogrio.errors", "geopackage")
+        try:
+            frame.to_file(
+                self._path,
+                layer=_LAYER,
+                driver="GPKG",
+                mode=mode,
+                geometry_type="Point",
+                engine="pyogrio",
+            )
+        except (errors.DataSourceError, errors.DataLayerError) as error:
+            # What the system said, as of a full disk, is in SQLite's words, which are long.
+            raise _not_written(f"SQLite: {error}") from error
+
+    def check(self) -> None:
+        """Raise where points or their index are missing: on a full disk GDAL leaves them out.
+
+        Raises:
+            OSError: They are.
+        """
+        try:
+            with closing(sqlite3.connect(self._path)) as file:
+                tables = (_LAYER, f"rtree_{_LAYER}_geom") if self._written else (_LAYER,)
+                counts = [
+                    file.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]  # noqa: S608
+                    for table in tables
+                ]
+        except sqlite3.Error as error:
+            raise _not_written(f"SQLite: {error}") from error
+        if any(count != self._written for count in counts):
+            raise _not_written(f"{min(counts)} of {self._written} points are in it")
+
+
+def _not_written(reason: str) -> OSError:
+    text = _files.shortened(" ".join(reason.split()), _MOST_TEXT)
+    return OSError(errno.EIO, f"is the disk full? ({text})")
 
 
 def read_geopackage_table(path: str | os.PathLike[str]) -> pd.DataFrame:

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Iterator, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
-from sightline import formats
+from sightline import formats, stopping
 from sightline.clock import Clock
 from sightline.detection import DEFAULT_DETECTOR, Detector, DetectorOptions, detector_by_name
 from sightline.detection.run import usable
-from sightline.errors import InputError
+from sightline.errors import BrokenOffError, InputError, SightlineError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.tally import Tally
 from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
+
+T = TypeVar("T")
 
 _TABLE_SUFFIXES = (".csv", ".txt")
 _CHUNK_ROWS = 20_000
@@ -34,10 +38,79 @@ def is_table(source: str | os.PathLike[str]) -> bool:
     return Path(source).suffix.lower() in _TABLE_SUFFIXES and "://" not in str(source)
 
 
+class Ending:
+    """How a source ends: by itself, because somebody asks for it, or because it breaks off.
+
+    What comes after only sees that there is no more, so that all that was begun is finished.
+    """
+
+    def __init__(self, stop: threading.Event | None = None) -> None:
+        """Take the event that ends the source when it is set."""
+        self._stop = stop
+        self._broken: SightlineError | None = None
+        self._seen = False
+
+    @property
+    def early(self) -> bool:
+        """Whether the source did not end by itself."""
+        return self._broken is not None or (self._stop is not None and self._stop.is_set())
+
+    def frames(self, start: Callable[[], Iterator[Frame]], name: str) -> Iterator[Frame]:
+        """Frames of a source, to where it ends or breaks off.
+
+        A stream breaks off with whatever else is wrong with it from some frame on: nobody can be
+        asked to send it again.
+
+        Args:
+            start: Opens the source, and may wait for it.
+            name: Its path or address.
+        """
+        kind = SightlineError if is_stream(name) else BrokenOffError
+        try:
+            yield from self.until(stopping.iterate(start, self._stop))
+        except kind as error:
+            if not self._seen:
+                raise
+            self._broken = error
+
+    def until(self, items: Iterable[T]) -> Iterator[T]:
+        """Items until somebody asks to stop.
+
+        Raises:
+            StoppedError: That was before the first.
+        """
+        for item in items:
+            if self._stop is not None and self._stop.is_set():
+                break
+            self._seen = True
+            if isinstance(self._stop, stopping.Stop):
+                self._stop.begun = True
+            yield item
+        if not self._seen:
+            stopping.check(self._stop)
+
+    def check(self) -> None:
+        """Raise what broke the source off, once all that came before has been handed on.
+
+        Raises:
+            BrokenOffError: It did.
+        """
+        if isinstance(self._broken, BrokenOffError):
+            raise self._broken
+        if self._broken is not None:
+            raise BrokenOffError(str(self._broken)) from self._broken
+
+
+def is_stream(source: str | os.PathLike[str]) -> bool:
+    """Whether a source is an address, not a path."""
+    return "://" in str(source) and not str(source).lower().startswith("file:")
+
+
 def read_table(
     path: str | os.PathLike[str],
     image_size_px: tuple[int, int] | None = None,
     tally: Tally | None = None,
+    stop: threading.Event | None = None,
 ) -> tuple[Iterator[Boxes], int]:
     """Read the boxes of a table in chunks, in the order of time.
 
@@ -47,14 +120,20 @@ def read_table(
         path: The table.
         image_size_px: Width and height of the picture, for boxes in shares of it.
         tally: Counts rows and boxes, and what is left out; None: a warning tells of it.
+        stop: Is set by whoever no longer wants it.
 
     Returns:
         The boxes, and the highest track id, `NO_TRACK` if they have none.
+
+    Raises:
+        InputError: The table cannot be used.
+        StoppedError: ``stop`` was set before the table had been looked at.
     """
     ordered, alone, last, highest_id = True, True, -np.inf, NO_TRACK
     read = partial(formats.iter_boxes, path, skip_empty=True, image_size_px=image_size_px)
     # It is read again below, and then tells what it left out.
     for chunk in read(_CHUNK_ROWS, tally=Tally(path)):
+        stopping.check(stop)
         if not len(chunk):
             continue
         moment = _moment(chunk)

@@ -5,21 +5,24 @@ from __future__ import annotations
 import itertools
 import logging
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from sightline import formats, video
+from sightline import formats, stopping, video
 from sightline.camera.horizon_tracker import with_horizons
 from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.clock import Clock
 from sightline.detection import Detector, detect, observe
-from sightline.errors import InputError
+from sightline.errors import BrokenOffError, InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.pipeline.sources import (
+    Ending,
+    FrameRateError,
     check_frame_rate,
     fit_for_use,
     follows_on_earth,
@@ -152,6 +155,8 @@ def track(
         InputError: The source cannot be read, nothing tells its times, or the model is of a camera
             that moves and the source of one that does not, or the reverse, or water levels are
             missing or of no use.
+        BrokenOffError: The source could not be read to its end; its ``tracks`` are what was
+            tracked until then.
 
     Examples:
         A table of boxes, as any detector may have written it; a video is given in the same way:
@@ -173,7 +178,13 @@ def track(
         settings=settings,
         progress=progress,
     )
-    return Tracks(tuple(found))
+    made: list[Track] = []
+    try:
+        made.extend(found)
+    except BrokenOffError as error:
+        error.tracks = Tracks(tuple(made))
+        raise
+    return Tracks(tuple(made))
 
 
 def iter_tracks(
@@ -189,8 +200,12 @@ def iter_tracks(
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
     forecasts: Callable[[Track], None] | None = None,
+    stop: threading.Event | None = None,
 ) -> Iterator[Track]:
     """As `track`, yielding each track once its target has gone, in constant memory.
+
+    Where the source breaks off, the tracks of all targets until then are yielded before the error
+    is raised.
 
     Args:
         source: See `track`.
@@ -205,9 +220,13 @@ def iter_tracks(
         progress: See `track`.
         forecasts: Is given the forecast of each track, from its last position on and by its
             positions alone, as a track of extrapolated points with the same number.
+        stop: Ends the source when it is set, by another thread or a signal's handler, as if there
+            were no more of it; even while a stream is silent.
 
     Raises:
         InputError: See `track`.
+        BrokenOffError: See `track`.
+        StoppedError: ``stop`` was set before anything was seen.
 
     Examples:
         >>> model = sightline.load("model.safetensors")
@@ -233,28 +252,38 @@ def iter_tracks(
             "were seen; give a clock (frame,utc), or time_utc with the boxes"
         )
     where = "" if isinstance(source, Boxes) else f"{source}: "
+    ending = Ending(stop)
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
         batches, highest_id = (
             from_memory(source)
             if isinstance(source, Boxes)
-            else read_table(source, model.image_size_px)
+            else read_table(source, model.image_size_px, stop=stop)
         )
         history = CameraHistory(horizons=horizons, water=water)
-        dated = (with_times(boxes, clock, model, where) for boxes in batches)
+        dated = (with_times(boxes, clock, model, where) for boxes in ending.until(batches))
         observed: Iterator[ObservedBoxes] = map(history.observed, dated)
     else:
         highest_id = NO_TRACK
         monitor = CameraMotionMonitor(
             model, warn_of=str(source), compensate=settings.compensate_rotation, water=water
         )
-        frames = video.frames(source, clock=clock, start_utc_s=start_utc_s)
+        frames = ending.frames(
+            partial(video.frames, source, clock=clock, start_utc_s=start_utc_s), str(source)
+        )
         usable = observe(fit_for_use(frames, model, str(source)), [monitor])
         if model.horizon_px is not None:
             usable = with_horizons(usable)
-        found = detect(usable, make_detector(detector, model), frame_count(source), progress)
+        count = stopping.call(partial(frame_count, source), stop)
+        found = detect(usable, make_detector(detector, model), count, progress)
         observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
-    yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
+    try:
+        yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
+    except FrameRateError:
+        # Of a source that has no proper end the pictures until then do not tell the rate.
+        if not ending.early:
+            raise
+    ending.check()
 
 
 def _water(

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from sightline.atomic import as_placed, atomic_folder
 from sightline.camera.parameters import LOG_FOCAL
-from sightline.errors import InputError
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import ScoredPairs, pair_track
 from sightline.evaluation.report import Report
@@ -34,12 +35,22 @@ from sightline.reporting.plots import (
     map_figure,
     save_figure,
 )
+from sightline.scene import Scene
 from sightline.types import NO_FRAME
 
 LEFT_OUT = "each recording left out"
 LEARNED_FROM = "recordings learned from"
 _SINGLE = "single boxes"
 _LONGEST_NAME = 60
+
+_FILES = {
+    "report": "report.html",
+    "figures": "report.json",
+    "model": "model.safetensors",
+    "tracks": "tracks",
+    "map": "map.png",
+}
+_TRACK_SUFFIXES = (".geojson", ".csv", ".gpx", ".kml")
 
 _WORDS = {
     "height_m": "height above the water or road",
@@ -104,59 +115,82 @@ def run_reports(result: RunResult) -> dict[str, Report]:
 def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
     """Write everything that a run made into a folder: tracks, model, report, map.
 
-    The files take their places together, when the last of them is written.
-
     Returns:
         What lies where, by ``"tracks"``, ``"model"``, ``"report"``, ``"figures"`` and ``"map"``.
 
     Raises:
-        InputError: The files cannot be written; then none of them is.
+        InputError: Files cannot be written; see `write_run_files` for what becomes of the others.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".", dir=folder) as name:
-            made = Path(name)
-            paths = _write_into(result, made)
-            places = [
-                (path, folder / path.relative_to(made))
-                for path in made.rglob("*")
-                if path.is_file()
-            ]
-            # All that can be known to fail does so before anything takes its place.
-            for _, final in places:
-                if final.is_dir():
-                    raise InputError(f"{final}: is a folder, where a file has to go")
-                if final.parent.exists() and not final.parent.is_dir():
-                    raise InputError(f"{final.parent}: is a file, where a folder has to go")
-            for path, final in places:
-                final.parent.mkdir(parents=True, exist_ok=True)
-                path.replace(final)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written to: {error.strerror or error}") from error
-    return {what: folder / path.relative_to(made) for what, path in paths.items()}
+    with atomic_folder(folder, inputs=result.scene.files) as made:
+        written = write_run_files(result, made, folder)
+        check_earlier_run(written, made, folder)
+    if written.failed:
+        raise written.failed[0]
+    return {what: folder / path.relative_to(made) for what, path in written.paths.items()}
 
 
-def _write_into(result: RunResult, folder: Path) -> dict[str, Path]:
-    paths = {
-        "report": folder / "report.html",
-        "figures": folder / "report.json",
-        "model": folder / "model.safetensors",
-        "tracks": folder / "tracks",
-    }
+@dataclass(frozen=True)
+class WrittenRun:
+    """Files of a run.
+
+    Attributes:
+        paths: What lies where.
+        failed: What could not be written, and why.
+    """
+
+    paths: dict[str, Path]
+    failed: list[Exception]
+
+
+def check_earlier_run(written: WrittenRun, made: Path, goal: Path) -> None:
+    """Raise where something is missing and the rest would mix with an earlier run's files."""
+    files = [path.relative_to(made) for path in made.rglob("*") if path.is_file()]
+    if written.failed and any((goal / path).exists() for path in files):
+        raise written.failed[0]
+
+
+def run_file_names(scene: Scene) -> list[Path]:
+    """Names of all files that a run of a scene may write, in the folder of its results."""
+    tracks = [
+        Path("tracks") / f"{name}{suffix}"
+        for name in _file_names(recording.name for recording in scene.recordings)
+        for suffix in _TRACK_SUFFIXES
+    ]
+    return [Path(name) for name in _FILES.values() if name != "tracks"] + tracks
+
+
+def write_run_files(result: RunResult, folder: Path, goal: Path) -> WrittenRun:
+    """Write the files of a run one by one; one that cannot be written spoils no other.
+
+    Args:
+        result: Of the run.
+        folder: Of the run's own.
+        goal: Where the files will be, for messages.
+    """
+    paths = {what: folder / name for what, name in _FILES.items()}
+    failed: list[Exception] = []
+
+    def write(function: Callable[[Path], object], path: Path) -> None:
+        try:
+            function(path)
+        except Exception as error:
+            failed.append(as_placed(error, folder, goal))
+
     for file_name, tracks in zip(_file_names(result.tracks), result.tracks.values(), strict=True):
-        for suffix in (".geojson", ".csv", ".gpx", ".kml"):
-            tracks.write(paths["tracks"] / f"{file_name}{suffix}")
-    result.model.save(paths["model"])
+        for suffix in _TRACK_SUFFIXES:
+            write(tracks.write, paths["tracks"] / f"{file_name}{suffix}")
+    write(result.model.save, paths["model"])
+    write(partial(_write_map, result), paths["map"])
+    if result.smoothed is not None:
+        write(result.smoothed.write, paths["figures"])
+    write(lambda path: write_page(run_page(result), path), paths["report"])
+    return WrittenRun({what: path for what, path in paths.items() if path.exists()}, failed)
+
+
+def _write_map(result: RunResult, path: Path) -> None:
     panels = _panels(result)
     if panels:
-        paths["map"] = folder / "map.png"
-        save_figure(map_figure(panels), paths["map"])
-    if result.smoothed is not None:
-        result.smoothed.write(paths["figures"])
-    else:
-        del paths["figures"]
-    write_page(run_page(result), paths["report"])
-    return paths
+        save_figure(map_figure(panels), path)
 
 
 def compare_page(

@@ -310,6 +310,17 @@ class Scene:
         )
 
     @property
+    def files(self) -> tuple[Path, ...]:
+        """The scene file, and all files and folders that it names."""
+        named = [
+            value
+            for part in (self.camera, *self.recordings)
+            for value in vars(part).values()
+            if isinstance(value, Path)
+        ]
+        return (self.path, *dict.fromkeys(named))
+
+    @property
     def plane(self) -> LocalPlane | None:
         """The local plane with the camera as its origin; None where its position is not known."""
         if self.camera.latitude_deg is None or self.camera.longitude_deg is None:

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from sightline import _optional
-from sightline.cli.common import keep_apart, progress, say, stdout, write_result
+from sightline.cli.common import progress, say, stdout, write_result
 from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
@@ -26,6 +26,7 @@ from sightline.cli.options import (
     ValidateEveryOption,
     ValidationRecordingsOption,
 )
+from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import (
     parse_distinct_names,
     parse_names,
@@ -100,6 +101,7 @@ def compare(
 
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
+    keep_apart([json], loaded.files)
     for_test, for_validation = parse_names(test), parse_names(validation)
     for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in (*for_validation, *for_test)

@@ -11,7 +11,6 @@ from sightline import _optional
 from sightline.cli.common import (
     check_model_is_there,
     check_scene_is_there,
-    keep_apart,
     progress,
     say,
     write_result,
@@ -30,6 +29,7 @@ from sightline.cli.options import (
     ViewsOption,
     detector_options,
 )
+from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import parse_names
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def evaluate(
     json: JsonOption = None,
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
-    keep_apart([json], [scene, labels, model])
+    keep_apart([json], [scene, labels, model, detector])
     check_scene_is_there(scene)
     check_model_is_there(model)
     # Before a detector has looked at all frames.
@@ -104,6 +104,7 @@ def evaluate(
     from sightline.scene.labelled_frames import detect_labelled, scene_labels
 
     loaded = Scene.load(scene)
+    keep_apart([json], loaded.files)
     if recordings is not None:
         loaded = loaded.select(parse_names(recordings))
     margins = parse_margins(margin or [])

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sightline import _optional
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import progress, say, write_result
 from sightline.cli.defaults import PUBLISHED
 from sightline.cli.options import JsonOption
+from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import parse_known_names, parse_size_px
 from sightline.errors import InputError
 

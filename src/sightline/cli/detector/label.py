@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sightline.atomic import check_places
 from sightline.cli.common import (
     check_model_is_there,
     check_scene_is_there,
     folder_for_results,
-    keep_apart,
     progress,
     say,
 )
 from sightline.cli.common import write_result as write_json_result
 from sightline.cli.defaults import DEFAULT_LABEL
 from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
+from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.parsing import parse_names
 from sightline.errors import InputError
 
@@ -76,9 +77,14 @@ def label(
         raise InputError(
             f"{scene}: no recording has both pictures and a log; give frames or video, and fixes"
         )
+    inputs = [*loaded.files, model]
+    places = [output / f"{name}.csv" for name in (*(r.name for r in usable), "frames")]
+    keep_apart([json], [*inputs, *places])
+    if output.is_dir():
+        check_places(places, inputs)
     made: list[Proposals] = []
     pages: list[Path] = []
-    with folder_for_results(output) as folder, progress() as tell:
+    with folder_for_results(output, inputs) as folder, progress() as tell:
         for i, recording in enumerate(usable):
             tell(f"labelling {recording.name}", i / len(usable))
             drawn = None if all_frames else _drawn(recording)
@@ -87,9 +93,11 @@ def label(
             made.append(proposals)
             if proposals.made.any():
                 labels = Labels.of_target(proposals.boxes(name))
-                write_labels(labels, folder / f"{recording.name}.csv")
-            pages += contact_sheets(proposals, recording, folder / "sheets")
-        _write_frames(made, folder / "frames.csv")
+                write_labels(labels, folder.work / f"{recording.name}.csv")
+            pages += contact_sheets(proposals, recording, folder.work / "sheets")
+        _write_frames(made, folder.work / "frames.csv")
+    attempts = Attempts()
+    with attempts.one():
         results = {one.recording: _summary(one) for one in made}
         write_json_result(json, {"labels": str(output), "recordings": results})
     for one in made:
@@ -102,7 +110,8 @@ def label(
     doubtful = sum(int((one.made & (one.confidence < _DOUBTFUL)).sum()) for one in made)
     say(f"{total} boxes, {doubtful} of them doubtful (confidence below {_DOUBTFUL:g}): {output}")
     if pages:
-        say(f"check them on {len(pages)} pages: {pages[0].parent}")
+        say(f"check them on {len(pages)} pages: {folder.place(pages[0]).parent}")
+    attempts.check()
 
 
 def _drawn(recording: Recording) -> np.ndarray | None:

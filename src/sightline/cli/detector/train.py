@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sightline import _optional
-from sightline.cli.common import keep_apart, progress, say, write_result
+from sightline.cli.common import progress, say, write_result
 from sightline.cli.defaults import ARCHITECTURES
 from sightline.cli.options import (
     BatchOption,
@@ -25,6 +25,7 @@ from sightline.cli.options import (
     ValidateEveryOption,
     ValidationRecordingsOption,
 )
+from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import (
     parse_architecture_options,
     parse_distinct_names,
@@ -131,6 +132,7 @@ def train(
 
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
+    keep_apart([json], loaded.files)
     for_validation = parse_names(validation)
     for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in for_validation
