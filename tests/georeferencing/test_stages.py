@@ -20,7 +20,7 @@ from sightline.georeferencing.models import BoxModel, Observations
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.stages import Quality
-from sightline.scene import Scene
+from sightline.scene import Recording, Scene
 from sightline.scene.correspondences import collect
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise, SimulatedCamera
 from sightline.types import Fixes, FloatArray, StrArray
@@ -41,8 +41,11 @@ class World:
         return self.harbour.fixes(ReceiverNoise())
 
     def inputs(self, log: Fixes) -> FitInputs:
-        write_fixes(log, self.folder / "log.csv")
-        return collect(Scene.load(self.folder / "scene.toml"), pictures=False)
+        """What a fit learns from with a log that no reader has looked at."""
+        scene = Scene.load(self.folder / "scene.toml")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Recording, "fixes", lambda _: log)
+            return collect(scene, pictures=False)
 
     def rmse_m(self, model: Georeferencer) -> float:
         """Of the true places of boxes that were not learned from; infinite without a place."""
@@ -61,6 +64,7 @@ def world(tmp_path_factory: pytest.TempPathFactory, small_camera: SimulatedCamer
     )
     boxes = harbour.boxes(harbour.times(2.0), noise=BoxNoise(std_px=1.0, source="drawn"))
     write_boxes(boxes, folder / "boxes.csv")
+    write_fixes(harbour.fixes(), folder / "log.csv")
     (folder / "scene.toml").write_text(
         f"""[camera]
 latitude_deg = {harbour.plane.latitude_deg}
