@@ -484,7 +484,7 @@ LOGS = [
             replace("scene.toml", r"target\.gpx", "log.nmea"),
         ),
         FIT,
-        r"log\.nmea: no sentence is usable; 1 of 1 are spoilt",
+        r"log\.nmea: no sentence gives a fix; left out: 1 sentences with a wrong checksum \(line 1",
     ),
     (
         "nothing but noise from AIS",
@@ -493,7 +493,7 @@ LOGS = [
             replace("scene.toml", r"target\.gpx", "log.nmea"),
         ),
         FIT,
-        r"log\.nmea: holds no usable AIS position report; 1 are spoilt",
+        r"log\.nmea: holds no usable AIS position report; left out: 1 AIS sentences with a wrong",
     ),
     (
         "several vessels",
@@ -592,7 +592,7 @@ PICTURES = [
             replace("scene.toml", "$", '\n[[recordings]]\nname = "v"\nvideo = "boat.mp4"\n'),
         ),
         "run {h}/scene.toml -o {t}/out --model qkr",
-        r"recording v: its pictures have 640 x 360 px, the model learned from 1280 x 720 px",
+        r"boat\\.mp4: has pictures of 640 x 360 px, and image_size_px says 1280 x 720",
     ),
     ("a start for pictures", nothing, FRAMES + " --start-utc 2020-09-30", r"give a clock"),
 ]
