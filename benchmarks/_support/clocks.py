@@ -9,7 +9,7 @@ import numpy as np
 
 from sightline import formats
 from sightline.scene import Scene
-from sightline.simulation import BoxNoise, Harbour, ReceiverNoise, SimulatedCamera
+from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise, SimulatedCamera
 from sightline.types import NO_TRACK, Boxes
 
 START_UTC_S = 1_717_236_000.0
@@ -46,10 +46,12 @@ def drawn_scene(
         # As long a log before and after as people keep, so that another clock has places as well.
         harbour = Harbour.random(
             seed + i,
-            duration_s=duration_s + 120.0,
-            camera=CAMERA,
-            start_utc_s=START_UTC_S + 7200.0 * i,
-            gulls=0,
+            HarbourSettings(
+                duration_s=duration_s + 120.0,
+                camera=CAMERA,
+                start_utc_s=START_UTC_S + 7200.0 * i,
+                gulls=0,
+            ),
         )
         times = harbour.times(2.0)
         times = times[(times > harbour.start_utc_s + 60.0) & (times < times[-1] - 60.0)]
@@ -83,7 +85,8 @@ def unlabelled_scene(folder: Path, offset_s: float, *, seed: int = 0) -> Scene:
         seed: Of the boats and of all noise.
     """
     harbour = Harbour.random(
-        seed, duration_s=240.0, camera=CAMERA, start_utc_s=START_UTC_S, gulls=0
+        seed,
+        HarbourSettings(duration_s=240.0, camera=CAMERA, start_utc_s=START_UTC_S, gulls=0),
     )
     times = harbour.times(4.0)
     times = times[(times > harbour.start_utc_s + 60.0) & (times < times[-1] - 60.0)]

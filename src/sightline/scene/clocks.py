@@ -148,6 +148,7 @@ class _Drawn:
                 sigma_m=place.sigma_m[rows],
                 time_s=times[rows],
                 width_px=width_px[rows],
+                gap_s=place.fix_time_utc_s[rows],
                 above_m=above_m[rows],
             )
 
