@@ -59,7 +59,7 @@ def test_the_camera_is_that_of_a_right_clock(
     assert found.camera is not None
     assert model.camera is not None
     for mine, other in zip(found.report.parameters, model.report.parameters, strict=True):
-        assert abs(mine.value - other.value) < 0.5 * other.sigma, mine.name
+        assert abs(mine.value - other.value) < other.sigma, mine.name
     assert found.camera.focal_px == pytest.approx(CAMERA.focal_length_px, rel=0.06)
 
 
