@@ -14,6 +14,7 @@ import numpy as np
 
 from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, ClockOffset, ClockPrior
 from sightline.reference_trajectory import ReferenceTrajectory
+from sightline.synchronisation import LARGEST_GAP_S
 from sightline.types import BoolArray, Fixes, FloatArray, IntArray, Positions
 
 _STEP_S = 1.0
@@ -92,7 +93,10 @@ class _Match:
     def _apart(self, offset_s: float) -> tuple[FloatArray, Positions, BoolArray]:
         """(N, 2) places less the log's, the places, and (N,) whether the log has one."""
         positions = self._positions_at(self._all_s - offset_s)[self._rows]
-        place_m = self._log.at(self.time_s - offset_s).east_north_m
+        log = self._log.at(self.time_s - offset_s)
+        # What a motion model bridges a long gap with is no place that a clock may be read off.
+        near = np.diff(log.fix_time_utc_s, axis=1) <= LARGEST_GAP_S
+        place_m = np.where(near, log.east_north_m, np.nan)
         apart = np.stack([positions.east_m, positions.north_m], axis=1) - place_m
         return apart, positions, np.asarray(np.isfinite(apart).all(axis=1))
 
