@@ -89,6 +89,27 @@ class FrameClock:
         return asked
 
 
+@dataclass(frozen=True, eq=False)
+class OffsetClock:
+    """A clock with a constant offset taken off.
+
+    Attributes:
+        clock: Of the camera.
+        offset_s: How far it is ahead.
+    """
+
+    clock: Clock
+    offset_s: float
+
+    def time_utc_s(self, frame: ArrayLike) -> FloatArray:
+        """POSIX seconds of frames, (N,); see `Clock`."""
+        return self.clock.time_utc_s(frame) - self.offset_s
+
+    def sigma_s(self, frame: ArrayLike) -> FloatArray:
+        """Standard deviations of those times, (N,) seconds; see `Clock`."""
+        return self.clock.sigma_s(frame)
+
+
 def presentation_clock(start_utc_s: float, presentation_s: ArrayLike) -> FrameClock:
     """Clock of a video whose first frame was taken at a known time.
 

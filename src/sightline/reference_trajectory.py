@@ -13,6 +13,9 @@ from sightline.logged_motion import LONGEST_GAP_S, LoggedMotion, spikes, usable
 from sightline.synchronisation import LARGEST_GAP_S, distinct
 from sightline.types import Fixes, FloatArray
 
+SMOOTHED_S = 3.0
+"""Half the time over which a velocity is taken that is to be free of the noise of single fixes."""
+
 LARGEST_REPORT_GAP_S = 150.0
 """Reports that tell course and speed bridge a gap as long as this."""
 
@@ -88,6 +91,21 @@ class ReferenceTrajectory:
         place = np.stack(plane.to_plane(fixes.latitude_deg, fixes.longitude_deg), axis=1)
         times, first = np.unique(fixes.time_utc_s, return_index=True)
         return cls(fixes.name, times, place[first], np.asarray(velocity_mps, dtype=float)[first])
+
+    def smooth_velocity(self, time_utc_s: ArrayLike) -> FloatArray:
+        """(N, 2) velocity over some seconds, free of the noise of single fixes.
+
+        From one fix to the next a receiver's noise is as large as what a slow target moves. Taken
+        for movement it would seem to tell the clock. Where the log does not tell as far to both
+        sides, the velocity is that of `at`.
+
+        Args:
+            time_utc_s: (N,) POSIX seconds.
+        """
+        times = np.asarray(time_utc_s, dtype=float)
+        before, after = self.at(times - SMOOTHED_S), self.at(times + SMOOTHED_S)
+        smooth = (after.east_north_m - before.east_north_m) / (2.0 * SMOOTHED_S)
+        return np.where(np.isfinite(smooth), smooth, self.at(times).velocity_mps)
 
     def at(self, time_utc_s: ArrayLike) -> ReferenceStates:
         """Interpolate the trajectory at given times.

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from sightline.association.associate import LARGEST_OFFSET_S
 from sightline.cli import defaults
+from sightline.clock_offset import LARGEST_OFFSET_S
 from sightline.detection import DEFAULT_DETECTOR, VIEWS
 from sightline.detection.decoders import DECODERS
 from sightline.detection.onnx import PROVIDERS

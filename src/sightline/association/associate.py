@@ -12,11 +12,9 @@ from sightline.association.refine import Explanation, Refiner
 from sightline.association.search import Candidate, RecordingObservations, candidates
 from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
+from sightline.clock_offset import LARGEST_OFFSET_S
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
-
-LARGEST_OFFSET_S = 60.0
-"""Clocks that are further apart than this are not brought together."""
 
 LEAST_EVIDENCE = 0.0
 LEAST_LEAD = 2.0
@@ -67,7 +65,8 @@ class Association:
         watches: The recordings.
         camera: That explains all of them.
         found: The vessels, by recording.
-        offset_s: By recording, the clock offset: to be added to its times to agree with the log.
+        offset_s: By recording, what is to be added to its times to agree with the log (in the
+            camera's time zone): of the other sign than `ahead_s`.
         offset_sigma_s: By recording, its standard deviation.
         evidence: Log-likelihood ratio of this explanation against no logged vessel in view, in
             nats.
@@ -84,6 +83,11 @@ class Association:
     evidence: float
     runner_up: float
     statements: tuple[str, ...]
+
+    def ahead_s(self, recording: str) -> float:
+        """How far a recording's times are ahead of the log's, with the camera's time zone."""
+        watch = next(watch for watch in self.watches if watch.name == recording)
+        return watch.zone_s - self.offset_s[recording]
 
 
 @dataclass(frozen=True, eq=False)

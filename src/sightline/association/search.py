@@ -52,12 +52,14 @@ class RecordingObservations:
         paths: The logs.
         above_m: (N,) float64, how high the water stood at each observation above its middle over
             all recordings. The votes leave it out: what they find is refined. Absent: at it.
+        zone_s: What was added to the logs' times, so that they are in the camera's time zone.
     """
 
     name: str
     seen: TrackObservations
     paths: tuple[ReferenceTrajectory, ...]
     above_m: FloatArray = field(default_factory=lambda: np.empty(0))
+    zone_s: float = 0.0
 
     def __post_init__(self) -> None:
         if self.above_m.size == 0:

@@ -13,7 +13,7 @@ posterior says which those were.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
@@ -46,6 +46,7 @@ from sightline.camera.priors import (
     PixelNoise,
     SourcePrior,
 )
+from sightline.clock_offset import USUAL_SIGMA_S
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
 
@@ -58,6 +59,8 @@ _KNOWN_AT = 0.7
 # Below this a target's course says little about where its bow points.
 _UNDER_WAY_MPS = 0.5
 _ROUNDS = 4
+# Clocks that are further off than this are not what people call right.
+_RIGHT_S = 1.5
 # Of a standard deviation: a step so small ends the search.
 _ENOUGH = 0.01
 _MOST_STEPS = 30
@@ -138,9 +141,14 @@ class CameraFit:
         if count == 0:
             return 0.0
         own = np.diag(self.covariance)[self.layout.clocks]
-        prior = self.prior_sigma[self.layout.clock(0)] ** 2
+        sigma = self.prior_sigma[self.layout.clocks]
+        prior = min(USUAL_SIGMA_S, float(sigma.min())) ** 2
+        # What was taken off before the fit shows in the width of the prior. As far as clocks go
+        # that people call right, it says how such scatter; one that is off by more says nothing.
+        before = 2.0 * np.maximum(sigma**2 - USUAL_SIGMA_S**2, 0.0)
+        scatter = self.clock_offset_s**2 + own + np.where(before < _RIGHT_S**2, before, 0.0)
         # The prior weighs as much as half a recording.
-        return float(np.sqrt((0.5 * prior + np.sum(self.clock_offset_s**2 + own)) / (0.5 + count)))
+        return float(np.sqrt((0.5 * prior + np.sum(scatter)) / (0.5 + count)))
 
     def determined(self) -> BoolArray:
         """(9,) bool: whether the data, not the prior, determines each of `PARAMETERS`.
@@ -170,12 +178,15 @@ class CameraFitSettings:
         heaving: Whether the camera is on a vessel, whose heave is to be told from the log's errors.
         starts: How many random starting cameras, the first at the prior's mean.
         seed: Of the random starts.
+        clocks: By recording, mean and standard deviation of its clock offset, seconds to be added
+            to its clock; where they are others than the prior's.
     """
 
     position_known: bool = True
     heaving: bool = False
     starts: int = 8
     seed: int = 0
+    clocks: Mapping[int, tuple[float, float]] = field(default_factory=dict)
 
 
 def fit_camera(
@@ -212,6 +223,8 @@ def fit_camera(
         problem = _Problem(
             sightings[chosen], image_size_px, n_sources, prior, known, beliefs, heaving
         )
+    for one in (everything, problem):
+        one.expect_clocks(settings.clocks)
     found: list[tuple[float, FloatArray]] = []
     assumed = noise or PixelNoise()
     for start in problem.starts(starts, np.random.default_rng(settings.seed)):
@@ -334,11 +347,20 @@ class _Problem:
         if not position_known:
             self.scale[POSITION] = self.spread
 
+    def expect_clocks(self, clocks: Mapping[int, tuple[float, float]]) -> None:
+        """Set the prior of the clock offsets of some recordings."""
+        for slot, group in enumerate(self.clock_groups.tolist(), self.layout.clocks.start):
+            if group in clocks:
+                self.mean[slot], self.sigma[slot] = clocks[group]
+                self.scale[slot] = self.sigma[slot]
+
     def starts(self, count: int, rng: np.random.Generator) -> list[FloatArray]:
         """Initial cameras: the prior mean, then draws from the prior, all facing the targets."""
         out = []
         for i in range(count):
             vector = self.mean.copy()
+            # The places are those at the clocks that the fit begins with.
+            vector[self.layout.clocks] = 0.0
             if i or not self.position_known:
                 vector[LOG_HEIGHT] += rng.normal(0.0, 0.5)
                 vector[PITCH] += rng.normal(0.0, np.radians(8.0))

@@ -42,6 +42,7 @@ def compare(
     keep_apart([map_file, report, json], [scene])
     check_scene_is_there(scene)
     from sightline.evaluation.comparison import overview_table, paper_table
+    from sightline.pipeline.evaluate import clock_notes
     from sightline.pipeline.evaluate import compare as compare_models
     from sightline.reporting.page import write_page
     from sightline.reporting.plots import MapPanel, map_figure, save_figure
@@ -68,6 +69,9 @@ def compare(
         with attempts.one():
             write_page(compare_page(result, placed, loaded.camera.name or scene.stem), report)
             said["report"] = report
+    clocks = {one.recording: one.clock for one in next(iter(placed.values()))}
+    for note in clock_notes(clocks):
+        say(f"note: {note}")
     stdout.print(overview_table(result, "single boxes, each recording left out"))
     stdout.print(paper_table(result.models, "without the trajectory stage"))
     stdout.print(paper_table(result.smoothed, "with the trajectory stage"))

@@ -109,4 +109,8 @@ def evaluate(
             say(describe_forecast(error, f"forecast over {ahead} s"))
     for name, part in report.recordings.items():
         say("  " + describe(part, name))
+    from sightline.pipeline.evaluate import clock_notes
+
+    for note in clock_notes({name: part.clock for name, part in report.recordings.items()}):
+        say(f"note: {note}")
     attempts.check()

@@ -113,5 +113,14 @@ def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, object]:
     }
     out["files"] = {what: str(path) for what, path in paths.items()}
     out["tracks_per_recording"] = {name: len(tracks) for name, tracks in result.tracks.items()}
+    out["clocks"] = {
+        name: {
+            "offset_s": clock.offset_s,
+            "sigma_s": clock.sigma_s,
+            "stated": clock.stated,
+            "used_s": clock.used_s,
+        }
+        for name, clock in result.clocks.items()
+    }
     out["notes"] = [*result.notes, *result.model.report.statements]
     return out

@@ -26,8 +26,9 @@ from sightline.cli.parsing import parse_time, parse_water_level
 from sightline.errors import BrokenOffError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
+    from sightline.clock_offset import ClockOffset
     from sightline.types import Track
 
 _FURTHER = "sightline.further"
@@ -101,6 +102,14 @@ def track(
     ] = None,
     start_utc: StartOption = None,
     clock: ClockOption = None,
+    clock_offset_s: Annotated[
+        float | None,
+        typer.Option(
+            "--clock-offset",
+            metavar="SECONDS",
+            help="How far the camera's clock is ahead of the true time; it is taken off.",
+        ),
+    ] = None,
     platform: Annotated[
         Path | None,
         typer.Option(metavar="LOG", help="Where the camera's own vessel was, if it moves."),
@@ -168,7 +177,10 @@ def track(
         if "://" not in source and not os.path.exists(source):
             raise InputError(f"{source}: there is no such video, folder or table")
         settings = TrackSettings(
-            trajectory=trajectory, interval_s=interval_s, compensate_rotation=compensate_rotation
+            trajectory=trajectory,
+            interval_s=interval_s,
+            compensate_rotation=compensate_rotation,
+            clock_offset_s=clock_offset_s or 0.0,
         )
         if forecast_s is not None:
             settings = replace(settings, forecast_s=forecast_s)
@@ -220,9 +232,13 @@ def track(
     }
     if ahead:
         result["forecasts"] = [str(path) for path in forecasts.written]
+    if clock_offset_s:
+        result["clock_offset_s"] = clock_offset_s
     with attempts.one():
         write_result(json, result)
     say(f"{summary.tracks} tracks, {summary.points} points")
+    for note in _clock_notes(clock_offset_s, fitted.report.clocks):
+        say(f"note: {note}")
     for path in tracks.written:
         say(f"tracks: {path}")
     for path in forecasts.written:
@@ -255,6 +271,29 @@ def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Sum
             raise
         summary.broken = error
     return summary
+
+
+def _clock_notes(stated_s: float | None, clocks: Mapping[str, ClockOffset]) -> list[str]:
+    """Sentences on the time that the tracks are in."""
+    if stated_s:
+        which = "ahead" if stated_s > 0.0 else "behind"
+        return [
+            (
+                f"{abs(stated_s):g} s were {'taken off' if stated_s > 0.0 else 'added to'} the "
+                f"camera's times, whose clock is {which}; the tracks are in the log's time"
+            )
+        ]
+    off = {name: clock for name, clock in clocks.items() if clock.used_s}
+    if stated_s is not None or not off:
+        return []
+    name, clock = next(iter(off.items()))
+    return [
+        (
+            f"the tracks are in the camera's time; in recording {name}, from which the model "
+            f"learned, its clock was {clock.words}: if it still is, give --clock-offset "
+            f"{clock.used_s:.1f}"
+        )
+    ]
 
 
 def _forecast_path(path: Path) -> Path:

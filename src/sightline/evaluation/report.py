@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.atomic import atomic_path
+from sightline.clock_offset import ClockOffset
 from sightline.errors import InputError
 from sightline.evaluation.forecast import ForecastError
 from sightline.evaluation.metrics import (
@@ -94,6 +95,8 @@ class Report:
         recordings: A report without further recordings for each; may be empty.
         tracks: Which tracks were scored, where tracks were.
         forecast: Errors of forecasts by the time ahead in seconds, where they were scored.
+        clock: How far the camera's clock is ahead of the log's, where the positions were scored in
+            the log's time since theirs is off.
     """
 
     ape: AbsoluteError
@@ -105,6 +108,7 @@ class Report:
     recordings: Mapping[str, Report] = field(default_factory=dict)
     tracks: TracksUsed | None = None
     forecast: Mapping[str, ForecastError] | None = None
+    clock: ClockOffset | None = None
 
     def to_dict(self) -> dict[str, object]:
         """The report as JSON has it; NaN and infinities become None."""
@@ -124,6 +128,8 @@ class Report:
         }
         if self.tracks is not None:
             out["tracks"] = {**asdict(self.tracks), "used": list(self.tracks.used)}
+        if self.clock is not None:
+            out["clock"] = asdict(self.clock)
         if self.forecast is not None:
             out["forecast"] = {ahead: asdict(error) for ahead, error in self.forecast.items()}
         return {key: without_nan(value) for key, value in out.items()}

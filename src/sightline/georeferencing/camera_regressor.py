@@ -139,6 +139,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 heaving=self.heaving,
                 starts=self.starts,
                 seed=self.random_state,
+                clocks=o.clocks_by_group,
             ),
         )
         self.n_features_in_ = 4

@@ -14,6 +14,7 @@ from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
+from sightline.clock_offset import RecordingClock
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Correspondences
@@ -49,6 +50,7 @@ class FitInputs:
         asked: By recording, how many boxes there were before those without a fix on either side
             were left out; only for the report.
         statements: Sentences for people on what was left out of the logs.
+        clocks: By recording, what was taken off its times, and what is believed of its clock.
         name: Begins messages: the scene file.
     """
 
@@ -63,6 +65,7 @@ class FitInputs:
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     asked: Mapping[str, int] = field(default_factory=dict)
     statements: tuple[str, ...] = ()
+    clocks: Mapping[str, RecordingClock] = field(default_factory=dict)
     name: str = "the scene"
 
     def without(self, recording: str) -> FitInputs:
@@ -287,6 +290,9 @@ def _fit_once(
             tidal=level_m is not None,
             prior=settings.prior,
             source_priors=settings.source_priors,
+            clocks={
+                name: clock.left for name, clock in inputs.clocks.items() if clock.left is not None
+            },
         ),
         seed=settings.seed,
     )
@@ -294,7 +300,9 @@ def _fit_once(
     has_camera = model.camera is not None
     boxes = pairs.boxes.xyxy_px
     placed = model.locate(boxes, pairs.boxes.source, above_m)
-    report = fit_report(kind.name, model, pairs, placed.east_north_m, len(control))
+    report = fit_report(
+        kind.name, model, pairs, placed.east_north_m, len(control), clocks=inputs.clocks
+    )
     report = replace(
         report, statements=(*inputs.statements, *staged.statements, *report.statements)
     )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
+from sightline.clock_offset import ClockOffset, RecordingClock
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.models import BoxModel
@@ -97,9 +99,11 @@ class FitReport:
         median_m: Median error of these pairs, metres.
         parameters: Of the camera; none for the paper's models.
         sources: Of the boxes; none for the paper's models.
-        clock_offset_s: By recording, how far its clock is to be moved on to agree with the log.
+        clock_offset_s: By recording, how far its clock is to be moved on to agree with the log: of
+            the other sign than ``clocks``, which it was there before.
         boxes: One a pair.
         statements: Sentences for people: what could not be determined, what stands out.
+        clocks: By recording, how far its clock is ahead of the log's, with its standard deviation.
     """
 
     model: str
@@ -114,6 +118,22 @@ class FitReport:
     clock_offset_s: dict[str, float] = field(default_factory=dict)
     boxes: tuple[FittedBox, ...] = ()
     statements: tuple[str, ...] = ()
+    clocks: dict[str, ClockOffset] = field(default_factory=dict)
+
+    def with_clocks(self, clocks: Mapping[str, ClockOffset]) -> FitReport:
+        """The report with clock offsets, and a sentence for each that is used."""
+        said = [
+            f"The clock of recording {name} is {clock.words}; its tracks and scores are in the "
+            "log's time."
+            for name, clock in clocks.items()
+            if clock.used_s
+        ]
+        return replace(
+            self,
+            clocks=dict(clocks),
+            clock_offset_s={name: -clock.offset_s for name, clock in clocks.items()},
+            statements=(*said, *self.statements),
+        )
 
     def to_dict(self) -> dict[str, object]:
         """The report as JSON can hold it; NaN and infinities become None."""
@@ -137,6 +157,9 @@ class FitReport:
         fields["statements"] = tuple(fields["statements"])
         fields["parameters"] = tuple(Parameter(**p) for p in fields["parameters"])
         fields["sources"] = tuple(SourceBias(**s) for s in fields["sources"])
+        fields["clocks"] = {
+            name: ClockOffset(**own) for name, own in fields.get("clocks", {}).items()
+        }
         fields["boxes"] = tuple(
             FittedBox(**{**b, **{k: number(b[k]) for k in ("error_m", "residual_px", "leverage")}})
             for b in fields["boxes"]
@@ -160,6 +183,8 @@ def fit_report(
     pairs: Correspondences,
     places: FloatArray,
     control_points: int,
+    *,
+    clocks: Mapping[str, RecordingClock],
 ) -> FitReport:
     """The report of a fit.
 
@@ -169,6 +194,7 @@ def fit_report(
         pairs: What it learned from.
         places: (N, 2) metres east and north, where it puts their boxes.
         control_points: How many it learned from.
+        clocks: What was known of the recordings' clocks before the fit.
     """
     error = np.hypot(*(places - pairs.east_north_m).T)
     certain = error[pairs.certain_rows()]
@@ -180,7 +206,7 @@ def fit_report(
         leverage, outlier = regressor.fit_.leverage[:n], regressor.fit_.outlier[:n]
         residual = np.hypot(*regressor.fit_.residual_px[:n].T)
         more = _camera_report(regressor, pairs, control_points, outlier)
-    return FitReport(
+    report = FitReport(
         model=model,
         n=n,
         asked=pairs.asked,
@@ -202,6 +228,25 @@ def fit_report(
         ),
         **more,
     )
+    return report.with_clocks(_clocks(regressor, pairs, clocks))
+
+
+def _clocks(
+    regressor: BoxModel, pairs: Correspondences, known: Mapping[str, RecordingClock]
+) -> dict[str, ClockOffset]:
+    """Clock offsets after the fit: those that it estimated, and others as they were found."""
+    learned = np.unique(pairs.recording).tolist()
+    out = {name: known[name].found for name in learned if name in known and known[name].found}
+    if isinstance(regressor, CameraRegressor):
+        fitted = regressor.fit_
+        sigma = np.sqrt(np.diag(fitted.covariance))[fitted.layout.clocks]
+        for group, late_s, own in zip(
+            fitted.clock_groups, fitted.clock_offset_s, sigma, strict=True
+        ):
+            if group < len(learned):
+                before = known.get(learned[group], RecordingClock())
+                out[learned[group]] = before.after(float(late_s), float(own))
+    return {name: clock for name, clock in sorted(out.items()) if clock is not None}
 
 
 def _camera_report(
@@ -239,15 +284,9 @@ def _camera_report(
                 sigma_m=float(sigma[in_m]),
             )
         )
-    names = np.unique(pairs.recording)
-    clocks = {
-        str(names[group]): float(offset)
-        for group, offset in zip(fitted.clock_groups, fitted.clock_offset_s, strict=True)
-    }
     return {
         "parameters": tuple(parameters),
         "sources": tuple(sources),
-        "clock_offset_s": clocks,
         "statements": _statements(parameters, fitted, pairs, control_points, outlier),
     }
 
@@ -290,19 +329,5 @@ def _statements(
         out.append(
             f"A single box carries {heavy:.1f} parameters of the fit; more boxes near it would "
             "make the camera surer."
-        )
-    late = {
-        str(name): offset
-        for name, offset in zip(
-            np.unique(pairs.recording)[fitted.clock_groups] if len(pairs) else [],
-            fitted.clock_offset_s,
-            strict=True,
-        )
-        if abs(offset) > 1.0
-    }
-    for name, offset in late.items():
-        out.append(
-            f"The clock of recording {name} seems {abs(offset):.1f} s "
-            f"{'behind' if offset > 0 else 'ahead of'} the log."
         )
     return tuple(out)

@@ -52,6 +52,8 @@ class Observations:
         tidal: Whether water levels were told.
         prior: Of the camera. Absent: that of an ordinary one.
         source_priors: Of the lower edge of single sources of boxes, by name.
+        clocks: By recording, mean and standard deviation of the seconds to be added to its clock;
+            where they are others than the camera's prior says.
     """
 
     correspondences: Correspondences
@@ -64,6 +66,7 @@ class Observations:
     tidal: bool = False
     prior: CameraPrior | None = None
     source_priors: Mapping[str, SourcePrior] = field(default_factory=dict)
+    clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 class BoxModel(Protocol):
@@ -206,7 +209,10 @@ class CameraModelType:
             above_sigma_m=LEVEL_SIGMA_M if observations.tidal else 0.0,
         ).fit_observations(
             CameraObservations.of(
-                observations.correspondences, above_m=observations.above_m, landmarks=known
+                observations.correspondences,
+                above_m=observations.above_m,
+                landmarks=known,
+                clocks=observations.clocks,
             )
         )
 

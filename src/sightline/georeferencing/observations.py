@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Self
@@ -46,6 +47,8 @@ class CameraObservations:
         gap_s: (N, 2) float64, times of the fixes on either side; what a gap makes of the places in
             it is alike. Absent or NaN: every place is in a gap of its own.
         landmarks: Control points and landmarks.
+        clocks: By recording, mean and standard deviation of the seconds to be added to its clock;
+            where they are others than the camera's prior says.
 
     Raises:
         FitError: A box, a place or a pixel is not a number.
@@ -64,6 +67,7 @@ class CameraObservations:
     fix_sigma_m: FloatArray = field(default_factory=_absent)
     gap_s: FloatArray = field(default_factory=_absent)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
+    clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         boxes = _table(self.boxes_xyxy_px, 4)
@@ -109,6 +113,7 @@ class CameraObservations:
         *,
         above_m: FloatArray | None = None,
         landmarks: Landmarks | None = None,
+        clocks: Mapping[str, tuple[float, float]] | None = None,
     ) -> Self:
         """The observations from correspondences and landmarks.
 
@@ -117,6 +122,7 @@ class CameraObservations:
             above_m: (N,) how high the water stood above the plane of the camera's height; absent:
                 at it.
             landmarks: Control points and landmarks; absent: none.
+            clocks: See `CameraObservations`; absent: of none.
         """
         return cls(
             pairs.boxes.xyxy_px,
@@ -131,6 +137,7 @@ class CameraObservations:
             fix_sigma_m=pairs.fix_sigma_m,
             gap_s=pairs.fix_time_utc_s,
             landmarks=landmarks or Landmarks.none(),
+            clocks=clocks or {},
         )
 
     @cached_property
@@ -142,6 +149,12 @@ class CameraObservations:
     def group(self) -> IntArray:
         """(N,) index of each box's recording."""
         return _numbered(self.recording)
+
+    @property
+    def clocks_by_group(self) -> dict[int, tuple[float, float]]:
+        """What is believed of clocks, by the index of the recording."""
+        names = np.unique(self.recording).tolist()
+        return {names.index(name): own for name, own in self.clocks.items() if name in names}
 
     @cached_property
     def log(self) -> IntArray:

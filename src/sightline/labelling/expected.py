@@ -131,7 +131,9 @@ def place_of(
     Raises:
         InputError: The recording has no log, or it cannot be used.
     """
-    late_s = georeferencer.report.clock_offset_s.get(recording.name, 0.0)
+    taken_off_s = recording.clock_offset_s
+    known = georeferencer.report.clock_offset_s.get(recording.name, -taken_off_s)
+    late_s = known + taken_off_s
     return synchronise(
         recording.fixes(), time_utc_s + late_s, georeferencer.plane, largest_gap_s=largest_gap_s
     )

@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from sightline import formats
+from sightline.clock_offset import ClockOffset
 from sightline.errors import FitError, InputError
+from sightline.evaluation.clock_match import match_clock
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.forecast import forecast_errors
 from sightline.evaluation.metrics import ScoredPairs, pair_positions, pair_track
@@ -30,13 +32,13 @@ from sightline.pipeline.track import (
 from sightline.platform import Platform
 from sightline.plausibility import check_near
 from sightline.progress import Progress
-from sightline.scene import Scene
-from sightline.scene.correspondences import collect
+from sightline.scene import Recording, Scene
+from sightline.scene.correspondences import collect, settled
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
-from sightline.types import Boxes, Fixes, LocatedBoxes, Track
+from sightline.types import Boxes, Fixes, FloatArray, LocatedBoxes, Positions, Track
 
 
 def evaluate(
@@ -104,6 +106,8 @@ class LocatedRecording:
         model: That placed them.
         fixes: The log.
         platform: What the camera stands on, where that moves.
+        clock: How far the camera's clock is ahead of the log's, by these boxes and their model; the
+            boxes' times are the log's. None where too few boxes meet the log to tell.
     """
 
     recording: str
@@ -111,6 +115,7 @@ class LocatedRecording:
     model: Georeferencer
     fixes: Fixes
     platform: Platform | None = None
+    clock: ClockOffset | None = None
 
     def single(self) -> ScoredPairs:
         """Single boxes paired with the log."""
@@ -143,6 +148,11 @@ class LocatedRecording:
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[LocatedRecording]:
     """Locate the boxes of all recordings that have boxes and a log, each with its model.
 
+    The clock of each is estimated from its boxes and its log, with the model held (of a model
+    without a camera: by a camera that is fitted to the boxes). Where it is off for sure, or
+    somebody stated it, the boxes' times are corrected; a clock that may be right is not fitted to
+    the log that is to score it.
+
     Args:
         scene: The scene.
         model_for: From a recording's name to the model that locates its boxes.
@@ -151,19 +161,76 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
         InputError: No recording has both.
     """
     placed = []
+    by_camera: Scene | None = None
     for recording in scene.recordings:
         if recording.boxes_path is None or recording.fixes_path is None:
             continue
         model, platform = model_for(recording.name), recording.platform()
         check_platform(model, platform, f"recording {recording.name}: ")
-        history = recording_history(recording, model, pictures=scene.camera.compensate_rotation)
-        boxes = model.place(history.observed(recording.boxes()))
-        placed.append(LocatedRecording(recording.name, boxes, model, recording.fixes(), platform))
+        pictures = scene.camera.compensate_rotation
+        boxes = _placed(recording, model, pictures)
+        if model.regressor.camera_fit is not None:
+            clock = clock_of(recording, boxes, model)
+        else:
+            # Such models do not say how far off they may be, and a clock would make up for it.
+            by_camera = by_camera or settled(scene)
+            clock = by_camera[recording.name].clock_found
+        if clock is not None and clock.used_s != recording.clock_offset_s:
+            recording = recording.with_clock(clock.used_s)
+            boxes = _placed(recording, model, pictures)
+        placed.append(
+            LocatedRecording(recording.name, boxes, model, recording.fixes(), platform, clock)
+        )
     if not placed:
         raise InputError(
             f"{scene.path}: no recording has boxes and fixes, so there is nothing to compare"
         )
     return placed
+
+
+def _placed(recording: Recording, model: Georeferencer, pictures: bool) -> LocatedBoxes:
+    history = recording_history(recording, model, pictures=pictures)
+    return model.place(history.observed(recording.boxes()))
+
+
+def clock_of(recording: Recording, boxes: LocatedBoxes, model: Georeferencer) -> ClockOffset | None:
+    """The clock offset of a recording, by its located boxes and its log.
+
+    Args:
+        recording: With a log.
+        boxes: Of the logged target, at the recording's times.
+        model: That located them.
+
+    Returns:
+        None where too few boxes meet the log.
+    """
+    platform = recording.platform()
+
+    def positions_at(times: FloatArray) -> Positions:
+        moved = boxes.boxes.with_columns(time_utc_s=times)
+        return positions_on_earth(LocatedBoxes.at(moved, boxes.positions), platform)
+
+    return match_clock(
+        boxes.time_utc_s + recording.clock_offset_s,
+        positions_at,
+        recording.fixes(),
+        prior=recording.clock_prior,
+        reference_sigma_m=model.reference_sigma_m,
+    )
+
+
+def clock_notes(clocks: Mapping[str, ClockOffset | None]) -> tuple[str, ...]:
+    """Sentences on the clock offsets that scores are corrected for.
+
+    Args:
+        clocks: By recording.
+    """
+    return tuple(
+        f"The clock of recording {name} is {clock.words}, by its own boxes and log; it is scored "
+        "in the log's time."
+        for name, clock in clocks.items()
+        if clock is not None and clock.used_s
+    )
 
 
 def score(
@@ -200,7 +267,12 @@ def score(
             "no box falls between two fixes of its log that are near enough to each other for a "
             f"score ({LARGEST_GAP_S:g} s); check the clocks, and that the log is not too sparse"
         )
-    return summarise(parts, delta_s=delta_s)
+    report = summarise(parts, delta_s=delta_s)
+    off = {one.recording: one.clock for one in placed if one.clock and one.clock.used_s}
+    recordings = {
+        name: replace(part, clock=off.get(name)) for name, part in report.recordings.items()
+    }
+    return replace(report, recordings=recordings)
 
 
 def with_forecasts(report: Report, placed: Sequence[LocatedRecording]) -> Report:
@@ -299,7 +371,7 @@ def compare(
         >>> comparison, located = sightline.compare(scene, ["camera", "qkr"])
         >>> for name, report in comparison.models.items():
         ...     print(f"{name}: {report.ape.n} boxes, {report.ape.rmse:.0f} m RMSE")
-        camera: 162 boxes, 11 m RMSE
+        camera: 162 boxes, 10 m RMSE
         qkr: 162 boxes, 25 m RMSE
         >>> [one.recording for one in located["camera"]]
         ['01', '02', '03']

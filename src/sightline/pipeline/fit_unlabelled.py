@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.association.associate import LARGEST_OFFSET_S, Association, associate
-from sightline.association.observations import observe
+from sightline.association.associate import LEAST_LEAD, Association, associate
+from sightline.association.observations import TrackObservations, observe
 from sightline.association.search import RecordingObservations
 from sightline.camera.observations import Landmarks
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
+from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, RecordingClock
 from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
@@ -29,7 +30,13 @@ from sightline.progress import Progress
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import scene_static_intervals
-from sightline.scene.correspondences import levels_at, on_leaps, scene_correspondences
+from sightline.scene.clocks import settle_clocks
+from sightline.scene.correspondences import (
+    levels_at,
+    on_leaps,
+    scene_clocks,
+    scene_correspondences,
+)
 from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
@@ -41,6 +48,9 @@ MOST_A_RECORDING = 120
 
 # Between fixes that are further apart a boat has turned, and nobody knows where.
 _SPARSE_S = 15.0
+# Zones of a wrong clock at which a vessel is recognised; and how far a stated clock may be off.
+_MOST_ZONES = 4
+_STATED_SIGMAS = 4.0
 
 # Detectors see a hull, not where it meets the water: their boxes end too high by a few pixels, as
 # a rule. Where the edge of the water is seen, it tells how many; boxes alone tell next to nothing,
@@ -160,39 +170,83 @@ def associate_scene(
     tell = progress or (lambda _what, _share: None)
     if seen is None and detector is not None:
         seen = SceneDetections(scene, detector, progress)
-    watches: list[RecordingObservations] = []
-    apart: InputError | None = None
-    for recording in scene.recordings:
-        if recording.fixes_path is None:
-            continue
-        boxes = _boxes_of_anything(recording, seen)
-        if boxes is None or not len(boxes):
-            continue
-        paths = _paths(recording, plane, boxes, largest_offset_s)
-        if not paths:
-            if len(recording.logs()) == 1:
-                try:
-                    check_overlap(
-                        boxes.time_utc_s, recording.fixes(), f"recording {recording.name}"
-                    )
-                except InputError as error:
-                    apart = apart or error
-            continue
-        watches.append(RecordingObservations(recording.name, observe(boxes), paths))
-    if not watches:
-        if apart is not None:
-            raise apart
-        raise FitError(
-            f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
-            "was; nobody can be recognised"
-        )
-    if scene.tidal:
-        watches = _over_water(watches, scene)
+    stated = [one.clock_prior.sigma_s for one in scene.recordings if one.clock_prior.stated]
+    if len(stated) == len(scene.recordings):
+        largest_offset_s = min(largest_offset_s, max(_STATED_SIGMAS * max(stated), 1.0))
+    boxes = {
+        recording.name: own
+        for recording in scene.recordings
+        if recording.fixes_path is not None
+        and (own := _boxes_of_anything(recording, seen)) is not None
+        and len(own)
+    }
+    observed = {name: observe(some) for name, some in boxes.items()}
     tell("recognising the logged vessels", float("nan"))
+    refused: FitError | None = None
+    found: list[Association] = []
+    for zone_s in (0.0, *(() if stated else ZONES_S)):
+        watches = _watches(scene, plane, observed, largest_offset_s, zone_s)
+        if not watches:
+            continue
+        try:
+            found.append(associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s))
+        except FitError as error:
+            refused = refused or FitError(f"{scene.path}: {error}{_sparse(watches)}")
+        if zone_s == 0.0 and found:
+            return found[0]
+        if len(found) == _MOST_ZONES:
+            break
+    if found:
+        return _likeliest(found)
+    if refused is not None:
+        raise refused
+    for name, some in boxes.items():
+        if len(scene[name].logs()) == 1:
+            check_overlap(some.time_utc_s, scene[name].fixes(), f"recording {name}")
+    raise FitError(
+        f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
+        "was; nobody can be recognised"
+    )
+
+
+def _watches(
+    scene: Scene,
+    plane: LocalPlane,
+    observed: Mapping[str, TrackObservations],
+    largest_offset_s: float,
+    zone_s: float,
+) -> list[RecordingObservations]:
+    """Observations beside the logs that overlap them, if the camera's clock is of some zone."""
+    watches = [
+        RecordingObservations(name, seen, paths, zone_s=zone_s)
+        for name, seen in observed.items()
+        if (paths := _paths(scene[name], plane, seen.boxes, largest_offset_s, zone_s))
+    ]
+    if not scene.tidal or not watches:
+        return watches
     try:
-        return associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s)
-    except FitError as error:
-        raise FitError(f"{scene.path}: {error}{_sparse(watches)}") from error
+        return _over_water(watches, scene)
+    except InputError:
+        # The table of the water says nothing of the time at which a clock of that zone was.
+        if zone_s:
+            return []
+        raise
+
+
+def _likeliest(found: Sequence[Association]) -> Association:
+    """The likeliest of associations at several time zones.
+
+    Raises:
+        FitError: Two zones are about as likely.
+    """
+    best, *others = sorted(found, key=lambda one: -one.evidence)
+    if others and best.evidence - others[0].evidence < LEAST_LEAD:
+        hours = [f"{one.watches[0].zone_s / 3600.0:+g} h" for one in (best, others[0])]
+        raise FitError(
+            f"the camera's clock is off by hours, and {hours[0]} and {hours[1]} are about as "
+            "likely; give clock_offset_s"
+        )
+    return best
 
 
 def _sparse(watches: Sequence[RecordingObservations]) -> str:
@@ -217,7 +271,9 @@ def _over_water(
     watches: Sequence[RecordingObservations], scene: Scene
 ) -> list[RecordingObservations]:
     """Observations with their water level, above its median over all of them."""
-    levels = [levels_at(scene[watch.name], watch.seen.time_utc_s) for watch in watches]
+    levels = [
+        levels_at(scene[watch.name], watch.seen.time_utc_s - watch.zone_s) for watch in watches
+    ]
     middle_m = float(np.median(np.concatenate(levels)))
     return [
         replace(watch, above_m=own - middle_m) for watch, own in zip(watches, levels, strict=True)
@@ -259,6 +315,7 @@ def fit_association(
         static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
         statements=_on_leaps(association, scene, plane),
+        clocks=_clocks_of(association, scene),
         name=str(scene.path),
     )
     settings = FitSettings(
@@ -276,20 +333,9 @@ def fit_association(
             "No edge of the water was seen: how far the detector's boxes end off the water is "
             "assumed, and ranges depend on it."
         )
-    clocks = {
-        name: association.offset_s[name] + fitted.report.clock_offset_s.get(name, 0.0)
-        for name in association.offset_s
-    }
-    for name, offset in clocks.items():
-        if abs(offset) > 1.0:
-            more.append(
-                f"The clock of recording {name} is {abs(offset):.1f} s "
-                f"{'behind' if offset > 0 else 'ahead of'} the log."
-            )
     report = replace(
         fitted.report,
         asked=sum(len(watch.seen.boxes) for watch in association.watches),
-        clock_offset_s=clocks,
         statements=(*more, *fitted.report.statements),
     )
     return replace(fitted, report=report)
@@ -303,6 +349,16 @@ def _on_leaps(association: Association, scene: Scene, plane: LocalPlane) -> tupl
         if len(recording.logs()) == 1:
             said.append(on_leaps(recording, watch.seen.time_utc_s, plane))
     return tuple(one for one in said if one)
+
+
+def _clocks_of(association: Association, scene: Scene) -> dict[str, RecordingClock]:
+    """What was taken off the recordings' times, and what is believed of their clocks."""
+    return {
+        name: RecordingClock(
+            scene[name].clock_offset_s + association.ahead_s(name), scene[name].clock_prior
+        )
+        for name in association.offset_s
+    }
 
 
 def update_scene(
@@ -346,7 +402,9 @@ def update_scene(
     source_priors: dict[str, SourcePrior] = {}
     more: tuple[str, ...] = ()
     if any(r.boxes_path and r.fixes_path for r in scene.recordings):
+        scene = settle_clocks(scene, old.plane, prior_of(old, turned=True))
         pairs = scene_correspondences(scene, old.plane)
+        clocks = scene_clocks(scene)
         usual = CameraPrior()
     else:
         moved_scene = replace(
@@ -367,6 +425,7 @@ def update_scene(
             progress=progress,
         )
         pairs = recognised_correspondences(association, old.plane, scene)
+        clocks = _clocks_of(association, scene)
         landmarks = scene_landmarks(scene, association, seen)
         usual = _WITH_EDGE if len(landmarks) else _WITHOUT_EDGE
         source_priors = _measured(pairs, association.camera, seen.lower_edges if seen else None)
@@ -388,6 +447,7 @@ def update_scene(
         tidal=scene.tidal,
         static_intervals=static_intervals,
         landmarks=landmarks,
+        clocks=clocks,
         name=str(scene.path),
     )
     settings = FitSettings(
@@ -414,18 +474,19 @@ def recognised_correspondences(
         path = next(path for path in watch.paths if path.name == found.vessel)
         rows = _thinned(watch.seen.time_utc_s[found.rows])
         chosen = found.rows[rows]
-        at = path.at(watch.seen.time_utc_s[chosen] + association.offset_s[found.recording])
+        times = watch.seen.time_utc_s[chosen] + association.offset_s[found.recording]
+        at = path.at(times)
         known = np.isfinite(at.east_north_m).all(axis=1)
         boxes.append(watch.seen.boxes[watch.seen.box[chosen[known]]])
         names.append(np.full(int(known.sum()), found.recording))
         vessels.append(np.full(int(known.sum()), found.vessel))
         places.append(at.east_north_m[known])
-        velocities.append(at.velocity_mps[known])
+        velocities.append(path.smooth_velocity(times)[known])
         # What short gaps leave open is told by the noise that the fit estimates.
         sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
         around.append(at.fix_time_utc_s[known])
         if scene.tidal:
-            levels.append(levels_at(scene[found.recording], boxes[-1].time_utc_s))
+            levels.append(levels_at(scene[found.recording], times[known] - watch.zone_s))
     return Correspondences(
         boxes=Boxes.concatenate(boxes),
         recording=np.concatenate(names),
@@ -515,16 +576,17 @@ def _boxes_of_anything(recording: Recording, seen: SceneDetections | None) -> Bo
 
 
 def _paths(
-    recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float
+    recording: Recording, plane: LocalPlane, boxes: Boxes, largest_offset_s: float, zone_s: float
 ) -> tuple[ReferenceTrajectory, ...]:
-    """Reference trajectories of the logs that overlap a recording in time."""
+    """Reference trajectories, in a time zone, of the logs that overlap a recording in time."""
     first = boxes.time_utc_s.min() - largest_offset_s
     last = boxes.time_utc_s.max() + largest_offset_s
     out = []
     for log in recording.logs():
-        times = log.fixes.time_utc_s
+        times = log.fixes.time_utc_s + zone_s
         if np.sum((times >= first) & (times <= last)) >= 2:
-            out.append(ReferenceTrajectory.of(log.fixes, plane, log.velocity_mps))
+            path = ReferenceTrajectory.of(log.fixes, plane, log.velocity_mps)
+            out.append(replace(path, time_utc_s=path.time_utc_s + zone_s))
     return tuple(out)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sightline.clock_offset import ClockOffset
 from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import FitError
 from sightline.evaluation.metrics import ScoredPairs
@@ -20,6 +21,7 @@ from sightline.overlap import iou
 from sightline.pipeline.camera_state import camera_turns, recording_history
 from sightline.pipeline.evaluate import (
     LocatedRecording,
+    clock_notes,
     place_boxes,
     recordings_with_correspondences,
 )
@@ -34,11 +36,13 @@ from sightline.pipeline.sources import (
 from sightline.pipeline.track import TrackSettings, check_platform, follow, smooth_boxes
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
-from sightline.scene.correspondences import collect
+from sightline.scene.correspondences import collect, settled
 from sightline.scene.detections import SceneDetections
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.types import NO_TRACK, Boxes, Track
+
+_ALIKE_S = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,8 @@ class RunResult:
         smoothed_learned_from: Where some recordings were left out: the tracks in those that could
             not be, by ``model``, which learned from them; None where there is none.
         single_learned_from: Single boxes likewise.
+        clocks: By recording, how far its camera's clock is ahead of the log's. Where that is sure,
+            the recording's tracks are in the log's time.
     """
 
     scene: Scene
@@ -74,6 +80,7 @@ class RunResult:
     notes: tuple[str, ...] = field(default=())
     smoothed_learned_from: Report | None = None
     single_learned_from: Report | None = None
+    clocks: Mapping[str, ClockOffset] = field(default_factory=dict)
 
 
 def run(
@@ -104,7 +111,7 @@ def run(
         >>> {name: len(tracks) for name, tracks in result.tracks.items()}
         {'01': 1, '02': 1, '03': 1}
         >>> result.left_out, round(result.smoothed.ape.rmse)
-        (('01', '02', '03'), 11)
+        (('01', '02', '03'), 10)
     """
     settings = settings or TrackSettings()
     settings = replace(
@@ -113,14 +120,20 @@ def run(
     )
     tell = progress or (lambda _what, _share: None)
     seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
-    extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
     tell("fitting", float("nan"))
+    by_camera, scene = scene, settled(scene) if _drawn(scene) else scene
+    extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
     fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
     models, failed = _leave_each_out(scene, model, seed, extra, seen, tell)
-    tracked = _track_each(scene, fitted, models, seen, settings, tell)
     placed: list[LocatedRecording] = []
     if _drawn(scene):
-        placed = place_boxes(scene, lambda name: models.get(name, fitted))
+        # A model that never saw a recording knows nothing of its clock.
+        placed = place_boxes(by_camera, lambda name: models.get(name, fitted))
+    scene, said = _in_log_time(by_camera, fitted)
+    judged = scene.with_clocks(
+        {one.recording: one.clock.used_s for one in placed if one.clock is not None}
+    )
+    tracked = _track_each(scene, judged, fitted, models, seen, settings, tell)
     single = {one.recording: pairs for one in placed if len(pairs := one.single())}
     scored = [r.name for r in scene.recordings if r.name in tracked.scored or r.name in single]
     # With drawn boxes nothing is learned from recordings that have none.
@@ -130,7 +143,8 @@ def run(
     smoothed = _report_tracks(tracked.scored, left_out)
     single_boxes = _report_boxes(single, left_out)
     smoothed_rest, single_rest = _report_tracks(tracked.scored, rest), _report_boxes(single, rest)
-    notes = tracked.notes
+    own = {one.recording: one.clock for one in placed if one.recording in models}
+    notes = (*clock_notes(own), *said, *tracked.notes)
     if rest:
         notes = (_in_sample(rest if left_out else [], failed), *notes)
     return RunResult(
@@ -145,7 +159,39 @@ def run(
         notes=notes,
         smoothed_learned_from=smoothed_rest if left_out else None,
         single_learned_from=single_rest if left_out else None,
+        clocks=fitted.report.clocks,
     )
+
+
+def _in_log_time(scene: Scene, fitted: Georeferencer) -> tuple[Scene, tuple[str, ...]]:
+    """The scene with the clocks that a model has found, and sentences on those it has not.
+
+    The recordings of a camera have one clock: where those that tell it agree, so do the others.
+
+    Args:
+        scene: By the camera's clock.
+        fitted: To the scene.
+    """
+    clocks = fitted.report.clocks
+    used = {name: clock.used_s for name, clock in clocks.items()}
+    offsets = np.array([clock.offset_s for clock in clocks.values()])
+    others = [
+        recording.name
+        for recording in scene.recordings
+        if recording.name not in clocks and not recording.clock_prior.stated
+    ]
+    said: tuple[str, ...] = ()
+    if others and any(used.values()) and np.ptp(offsets) < _ALIKE_S and all(used.values()):
+        common_s = float(np.median(offsets))
+        used |= dict.fromkeys(others, common_s)
+        which = "ahead of" if common_s > 0.0 else "behind"
+        said = (
+            (
+                f"Nothing tells the clock of {', '.join(others)}; as in the other recordings it is "
+                f"taken to be {abs(common_s):.1f} s {which} the log."
+            ),
+        )
+    return scene.with_clocks(used), said
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +213,7 @@ class _Tracked:
 
 def _track_each(
     scene: Scene,
+    judged_scene: Scene,
     fitted: Georeferencer,
     models: Mapping[str, Georeferencer],
     seen: SceneDetections,
@@ -182,7 +229,9 @@ def _track_each(
         held = models.get(recording.name, fitted)
         try:
             made = track_recording(recording, fitted, seen, settings)
-            judged = made if held is fitted else track_recording(recording, held, seen, settings)
+            judged = made
+            if held is not fitted:
+                judged = track_recording(judged_scene[recording.name], held, seen, settings)
         except FrameRateError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")

@@ -89,6 +89,8 @@ class TrackSettings:
             are asked for.
         forecast_interval_s: Time between the points of a forecast.
         compensate_rotation: Whether camera rotation seen in the video is compensated.
+        clock_offset_s: How far the camera's clock is ahead of the true time (the log's); it is
+            taken off, so that the tracks are in that.
     """
 
     trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY
@@ -100,6 +102,7 @@ class TrackSettings:
     forecast_s: float = 60.0
     forecast_interval_s: float = 5.0
     compensate_rotation: bool = True
+    clock_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
@@ -107,6 +110,8 @@ class TrackSettings:
         for name in ("ends_after_s", "longest_s", "forecast_s", "forecast_interval_s"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"{name} must be positive; it is {getattr(self, name):g} s")
+        if not np.isfinite(self.clock_offset_s):
+            raise InputError("clock_offset_s is not a number; give seconds")
         if not self.forecast_s < np.inf:
             raise InputError("forecast_s is infinite; give the seconds to look ahead")
         if self.forecast_s > _MOST_FORECASTS * self.forecast_interval_s:
@@ -243,7 +248,8 @@ def iter_tracks(
     if platform is not None and not isinstance(platform, Platform):
         platform = Platform(formats.read_fixes(platform), formats.read_headings(platform))
     check_platform(model, platform)
-    water = _water(water_levels)
+    late_s = settings.clock_offset_s
+    water = _by_camera(_water(water_levels), late_s)
     model.check_water(water is not None)
     table = isinstance(source, Boxes) or is_table(source)
     if table and start_utc_s is not None:
@@ -277,6 +283,8 @@ def iter_tracks(
         count = stopping.call(partial(frame_count, source), stop)
         found = detect(usable, make_detector(detector, model), count, progress)
         observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
+    if late_s:
+        observed = (_in_log_time(boxes, late_s) for boxes in observed)
     try:
         yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
     except FrameRateError:
@@ -284,6 +292,19 @@ def iter_tracks(
         if not ending.early:
             raise
     ending.check()
+
+
+def _by_camera(water: WaterLevels | None, late_s: float) -> WaterLevels | None:
+    """Water levels by the camera's clock, which is so far ahead."""
+    if water is None or not late_s:
+        return water
+    return WaterLevels(water.time_utc_s + late_s, water.level_m)
+
+
+def _in_log_time(boxes: ObservedBoxes, late_s: float) -> ObservedBoxes:
+    """Boxes by a clock that is so far behind theirs, with the state that the camera had."""
+    moved = boxes.boxes.with_columns(time_utc_s=boxes.time_utc_s - late_s)
+    return ObservedBoxes.at(moved, boxes.state)
 
 
 def _water(

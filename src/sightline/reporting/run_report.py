@@ -13,6 +13,7 @@ import numpy as np
 
 from sightline.atomic import as_placed, atomic_folder
 from sightline.camera.parameters import LOG_FOCAL
+from sightline.clock_offset import USUAL_SIGMA_S
 from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import ScoredPairs, pair_track
 from sightline.evaluation.report import Report
@@ -42,6 +43,7 @@ LEFT_OUT = "each recording left out"
 LEARNED_FROM = "recordings learned from"
 _SINGLE = "single boxes"
 _LONGEST_NAME = 60
+_CLOCK_KNOWN_S = 0.7 * USUAL_SIGMA_S
 
 _FILES = {
     "report": "report.html",
@@ -296,6 +298,15 @@ def _model_rows(model: Georeferencer) -> list[ModelRow]:
             determined=p.determined,
         )
         for p in model.report.parameters
+    ] + [
+        ModelRow(
+            name=f"clock of recording {name} ahead of the log's",
+            value=clock.offset_s,
+            unit="s",
+            sigma=clock.sigma_s,
+            determined=clock.sigma_s < _CLOCK_KNOWN_S,
+        )
+        for name, clock in model.report.clocks.items()
     ]
 
 

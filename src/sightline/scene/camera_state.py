@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -27,7 +28,9 @@ def scene_horizons(recording: Recording) -> Horizons | None:
     told = recording.horizons()
     if told is not None or recording.platform_path is None or recording.source is None:
         return told
-    return _in_pictures(recording, recording.source.stat().st_mtime_ns)
+    bare = replace(recording.by_camera(), clock_found=None)
+    seen = _in_pictures(bare, recording.source.stat().st_mtime_ns)
+    return replace(seen, time_utc_s=seen.time_utc_s - recording.clock_offset_s)
 
 
 # Leaving one recording out at a time asks again and again, and to decode every frame takes long.
@@ -81,13 +84,17 @@ def recording_static_intervals(recording: Recording) -> tuple[StaticInterval, ..
     if not static_intervals_known(recording):
         watch = StaticIntervalMonitor()
         try:
-            for frame in recording.frames(apart_s=LOOKS_APART_S):
+            for frame in recording.by_camera().frames(apart_s=LOOKS_APART_S):
                 watch.observe(frame)
         except InputError as error:
             _logger.warning("nothing tells whether the camera was rotated: %s", error)
             watch = StaticIntervalMonitor()
         remember_static_intervals(recording, watch.static_intervals)
-    return _remembered[_key(recording)]
+    late_s = recording.clock_offset_s
+    return tuple(
+        replace(one, before_utc_s=one.before_utc_s - late_s, since_utc_s=one.since_utc_s - late_s)
+        for one in _remembered[_key(recording)]
+    )
 
 
 def static_intervals_known(recording: Recording) -> bool:
@@ -102,7 +109,7 @@ def remember_static_intervals(
 
     Args:
         recording: With pictures.
-        static_intervals: What came of them.
+        static_intervals: What came of them, by the camera's clock.
     """
     while len(_remembered) >= _MOST_REMEMBERED:
         del _remembered[next(iter(_remembered))]
@@ -111,4 +118,5 @@ def remember_static_intervals(
 
 def _key(recording: Recording) -> tuple[Recording, int]:
     assert recording.source is not None, "the caller has looked"
-    return recording, recording.source.stat().st_mtime_ns
+    by_camera = replace(recording.by_camera(), clock_found=None)
+    return by_camera, recording.source.stat().st_mtime_ns

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from sightline.clock_offset import RecordingClock
 from sightline.errors import FitError, InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.correspondences import Correspondences
@@ -15,6 +16,7 @@ from sightline.platform import to_bow, turned
 from sightline.progress import Progress
 from sightline.reference_trajectory import ReferenceStates, ReferenceTrajectory, without_leaps
 from sightline.scene.camera_state import scene_horizons, scene_static_intervals
+from sightline.scene.clocks import settle_clocks
 from sightline.scene.scene import Recording, Scene
 from sightline.synchronisation import check_overlap, synchronise
 from sightline.types import Boxes, Fixes, FloatArray, utc_text
@@ -45,6 +47,7 @@ def collect(
             nothing says where on the earth the scene is.
     """
     plane = scene.plane
+    scene = settled(scene)
     pairs = scene_correspondences(
         scene, plane if plane is not None else _middle(scene), extra=extra
     )
@@ -66,6 +69,7 @@ def collect(
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         asked=asked,
         statements=_on_leaps(scene, pairs.plane),
+        clocks=scene_clocks(scene),
         name=str(scene.path),
     )
 
@@ -101,6 +105,19 @@ def on_leaps(recording: Recording, time_utc_s: FloatArray, plane: LocalPlane) ->
         f"Recording {recording.name}: {leap} off the path of the log and back: left out "
         f"({when}{more})."
     )
+
+
+def settled(scene: Scene) -> Scene:
+    """The scene in the logs' time, as far as drawn boxes tell it; see `settle_clocks`."""
+    return settle_clocks(scene, scene.plane or _middle(scene))
+
+
+def scene_clocks(scene: Scene) -> dict[str, RecordingClock]:
+    """What is known of the clocks of a scene's recordings."""
+    return {
+        one.name: RecordingClock(one.clock_offset_s, one.clock_prior, one.clock_found)
+        for one in scene.recordings
+    }
 
 
 def _middle(scene: Scene) -> LocalPlane:
@@ -215,11 +232,11 @@ def _places(fixes: Fixes, time_utc_s: FloatArray, plane: LocalPlane) -> Referenc
     """Places of a log at times: on a line between near fixes, as a motion model says in gaps."""
     fixes, _ = without_leaps(fixes, plane)
     near = synchronise(fixes, time_utc_s, plane)
-    at = ReferenceTrajectory.of(fixes, plane).at(time_utc_s)
-    place, velocity, sigma = at.east_north_m, at.velocity_mps, at.sigma_m
+    path = ReferenceTrajectory.of(fixes, plane)
+    at = path.at(time_utc_s)
+    place, velocity, sigma = at.east_north_m, path.smooth_velocity(time_utc_s), at.sigma_m
     rows = near.matched
     place[rows] = np.stack([near.east_m, near.north_m], axis=1)[rows]
-    velocity[rows] = np.stack([near.velocity_east_mps, near.velocity_north_mps], axis=1)[rows]
     sigma[rows] = 0.0
     return ReferenceStates(place, velocity, sigma, at.fix_time_utc_s)
 

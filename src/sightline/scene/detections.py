@@ -85,12 +85,15 @@ class SceneDetections:
                 scene's.
         """
         self._detect(recording)
-        return self._found[recording.name][0]
+        boxes = self._found[recording.name][0]
+        if not recording.clock_offset_s:
+            return boxes
+        return boxes.with_columns(time_utc_s=boxes.time_utc_s - recording.clock_offset_s)
 
     def times_utc_s(self, recording: Recording) -> FloatArray:
         """(N,) times of the recording's frames; raises as `boxes`."""
         self._detect(recording)
-        return self._found[recording.name][1]
+        return self._found[recording.name][1] - recording.clock_offset_s
 
     def still(self, recording: Recording) -> NDArray[np.uint8]:
         """(H, W) grey: the static scene of a recording; see `StillPicture`.
@@ -125,7 +128,7 @@ class SceneDetections:
             static_intervals = StaticIntervalMonitor()
             observers.append(static_intervals)
         where = f"recording {recording.name}"
-        frames = usable(recording.frames(), self._scene.image_size_px, where)
+        frames = usable(recording.by_camera().frames(), self._scene.image_size_px, where)
         found = list(
             detect(
                 observe(frames, observers),

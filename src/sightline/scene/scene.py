@@ -7,8 +7,8 @@ that it names are opened when they are asked for.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from datetime import UTC
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from sightline import formats, video
-from sightline.clock import Clock, presentation_clock
+from sightline.clock import Clock, OffsetClock, presentation_clock
+from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
@@ -87,6 +88,10 @@ class Recording:
         water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
         camera_place_deg: Latitude and longitude of the camera where the scene file says them.
+        clock_offset_s: How far the camera's clock is taken to be ahead of the log's: it is taken
+            off all times of frames and boxes, which are then in the log's time.
+        clock_prior: What was believed of that offset before any data.
+        clock_found: What boxes and log told of it; None where they were not asked.
     """
 
     name: str
@@ -104,6 +109,17 @@ class Recording:
     water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
     camera_place_deg: tuple[float, float] | None = None
+    clock_offset_s: float = 0.0
+    clock_prior: ClockPrior = field(default_factory=ClockPrior)
+    clock_found: ClockOffset | None = None
+
+    def by_camera(self) -> Recording:
+        """The same by the camera's own clock, whatever offset it has."""
+        return self.with_clock(0.0)
+
+    def with_clock(self, offset_s: float) -> Recording:
+        """The same with the camera's clock so many seconds ahead of the log's."""
+        return replace(self, clock_offset_s=offset_s)
 
     @property
     def source(self) -> Path | None:
@@ -118,6 +134,8 @@ class Recording:
         Raises:
             InputError: There is neither, or a file cannot be used.
         """
+        if self.clock_offset_s:
+            return OffsetClock(self.by_camera().clock(), self.clock_offset_s)
         if self.clock_path is not None:
             return _clock(self.clock_path, self.clock_path.stat().st_mtime_ns)
         if self.video_path is not None:
@@ -236,15 +254,22 @@ class Recording:
             raise InputError(f"recording {self.name}: has no pictures; give video or frames")
         if self.clock_path is not None:
             return video.frames(self.source, clock=self.clock(), apart_s=apart_s)
-        return video.frames(self.source, start_utc_s=self.start_utc_s, apart_s=apart_s)
+        frames = video.frames(self.source, start_utc_s=self.start_utc_s, apart_s=apart_s)
+        if not self.clock_offset_s:
+            return frames
+        return (
+            replace(frame, time_utc_s=frame.time_utc_s - self.clock_offset_s) for frame in frames
+        )
 
     def _timed(self, boxes: Boxes, path: Path) -> Boxes:
         if self.image_size_px is not None:
             check_inside(boxes, self.image_size_px, f"{path}: ")
         unknown = ~np.isfinite(boxes.time_utc_s)
-        if not unknown.any():
+        if not unknown.any() and not self.clock_offset_s:
             return boxes
-        time_utc_s = boxes.time_utc_s.copy()
+        time_utc_s = boxes.time_utc_s - self.clock_offset_s
+        if not unknown.any():
+            return boxes.with_columns(time_utc_s=time_utc_s)
         try:
             time_utc_s[unknown] = self.clock().time_utc_s(boxes.frame[unknown])
         except InputError as error:
@@ -403,6 +428,20 @@ class Scene:
         chosen = {self[name].name for name in names}
         return replace(self, recordings=tuple(one for one in self.recordings if one.name in chosen))
 
+    def with_clocks(self, offset_s: Mapping[str, float]) -> Scene:
+        """The scene with other clock offsets for some recordings.
+
+        Args:
+            offset_s: By recording, how far the camera's clock is ahead of the log's.
+        """
+        return replace(
+            self,
+            recordings=tuple(
+                one.with_clock(offset_s.get(one.name, one.clock_offset_s))
+                for one in self.recordings
+            ),
+        )
+
     def without(self, names: Iterable[str]) -> Scene:
         """The scene without the recordings of these names.
 
@@ -492,6 +531,7 @@ def _recording(
     start = table.start_utc
     if start is not None and start.tzinfo is None:
         start = start.replace(tzinfo=UTC)
+    clock = _stated_clock(table.clock_offset_s)
     return Recording(
         name=table.name,
         start_utc_s=None if start is None else start.timestamp(),
@@ -499,8 +539,18 @@ def _recording(
         water_level_m=table.water_level_m,
         image_size_px=camera.image_size_px,
         camera_place_deg=camera.place_deg,
+        clock_offset_s=clock.mean_s,
+        clock_prior=clock,
+        clock_found=None,
         **paths,
     )
+
+
+def _stated_clock(stated: float | list[float] | None) -> ClockPrior:
+    if stated is None:
+        return ClockPrior()
+    mean_s, sigma_s = stated if isinstance(stated, list) else (stated, STATED_SIGMA_S)
+    return ClockPrior(mean_s, sigma_s, stated=True)
 
 
 def _check_there(scene: Path, key: str, path: Path, folder: bool) -> None:

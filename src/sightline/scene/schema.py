@@ -70,6 +70,7 @@ class RecordingTable(Table):
     horizon: str | None = None
     water_level_m: float | None = None
     water_levels: str | None = None
+    clock_offset_s: float | list[float] | None = None
 
     @field_validator("name")
     @classmethod
@@ -85,6 +86,16 @@ class RecordingTable(Table):
     def _moment(cls, value: object) -> object:
         if isinstance(value, str):
             return datetime.fromisoformat(value)
+        return value
+
+    @field_validator("clock_offset_s")
+    @classmethod
+    def _of_a_clock(cls, value: float | list[float] | None) -> float | list[float] | None:
+        if isinstance(value, list) and (len(value) != 2 or not value[1] > 0.0):
+            raise ValueError(
+                "give the seconds by which the camera's clock is ahead of the log's, or these and "
+                f"their standard deviation, [40.0, 2.0]; it is {value!r}"
+            )
         return value
 
     @model_validator(mode="after")
@@ -170,7 +181,8 @@ def _first_problem(error: ValidationError) -> str:
     problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
     problem = problems[0]
     # The names of the alternatives of a union are no keys.
-    steps = [step for step in problem["loc"] if step not in ("str", "list[PointTable]")]
+    alternatives = ("str", "list[PointTable]", "float", "list[float]")
+    steps = [step for step in problem["loc"] if step not in alternatives]
     where = ""
     for step in steps:
         key = _shortened(str(step))

@@ -1,0 +1,181 @@
+"""A camera's clock that is ahead of the log's: found, told, and taken off."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from _support.clocks import CAMERA, drawn_scene, unlabelled_scene
+
+import sightline
+from sightline.errors import InputError
+from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.pipeline.evaluate import evaluate, place_boxes
+from sightline.pipeline.fit import fit
+from sightline.pipeline.track import TrackSettings, track
+from sightline.scene import Scene
+from sightline.scene.correspondences import settled
+from sightline.types import Track
+
+
+@pytest.fixture(scope="module")
+def right(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Two recordings by a right clock."""
+    return drawn_scene(tmp_path_factory.mktemp("right"), {"01": 0.0, "02": 0.0}, duration_s=60.0)
+
+
+@pytest.fixture(scope="module")
+def model(right: Scene) -> Georeferencer:
+    return fit(right, "camera")
+
+
+@pytest.mark.parametrize(
+    "offset_s",
+    [
+        (1.0, 1.0),
+        pytest.param((5.0, 5.0), marks=pytest.mark.slow),
+        pytest.param((-40.0, -40.0), marks=pytest.mark.slow),
+        pytest.param((0.0, 40.0), marks=pytest.mark.slow),
+        pytest.param((3600.0, 3600.0), marks=pytest.mark.slow),
+        pytest.param((-19789.0, -19789.0), marks=pytest.mark.slow),
+    ],
+)
+def test_the_camera_is_that_of_a_right_clock(
+    tmp_path: Path, model: Georeferencer, offset_s: tuple[float, float]
+) -> None:
+    scene = drawn_scene(tmp_path, dict(zip(("01", "02"), offset_s, strict=True)), duration_s=60.0)
+    found = fit(scene, "camera")
+    for name, true_s in zip(("01", "02"), offset_s, strict=True):
+        clock = found.report.clocks[name]
+        assert abs(clock.offset_s - true_s) < 3.0 * clock.sigma_s
+        assert clock.sigma_s < 0.5
+        # The older key says the same with the other sign.
+        assert found.report.clock_offset_s[name] == -clock.offset_s
+        said = any(f"clock of recording {name}" in text for text in found.report.statements)
+        # A second may be what chance makes of a right clock; it is estimated all the same.
+        if abs(true_s) != 1.0:
+            assert said == (true_s != 0.0)
+    assert found.camera is not None
+    assert model.camera is not None
+    for mine, other in zip(found.report.parameters, model.report.parameters, strict=True):
+        assert abs(mine.value - other.value) < other.sigma, mine.name
+    assert found.camera.focal_px == pytest.approx(CAMERA.focal_length_px, rel=0.06)
+
+
+def test_a_model_file_keeps_the_clocks(tmp_path: Path, model: Georeferencer) -> None:
+    again = sightline.load(model.save(tmp_path / "model.safetensors"))
+    assert again.report.clocks == model.report.clocks
+
+
+def test_a_right_clock_is_left_as_it_is(right: Scene) -> None:
+    assert [one.clock_offset_s for one in settled(right).recordings] == [0.0, 0.0]
+
+
+def test_boxes_are_scored_in_the_logs_time(
+    tmp_path: Path, right: Scene, model: Georeferencer
+) -> None:
+    """Of recordings that the model never saw, whose clock it cannot know."""
+    scene = drawn_scene(tmp_path, {"01": 40.0, "02": 5.0}, duration_s=60.0)
+    report, expected = evaluate(scene, model=model), evaluate(right, model=model)
+    assert report.ape.rmse == pytest.approx(expected.ape.rmse, rel=0.1)
+    for name, true_s in (("01", 40.0), ("02", 5.0)):
+        clock = report.recordings[name].clock
+        assert clock is not None
+        assert abs(clock.offset_s - true_s) < 3.0 * clock.sigma_s
+        assert expected.recordings[name].clock is None
+
+
+def test_a_stated_clock_is_taken_off_everything(tmp_path: Path, right: Scene) -> None:
+    late_s = 10.0
+    names = {"01": late_s, "02": late_s}
+    scene = drawn_scene(tmp_path, names, duration_s=60.0, keys="clock_offset_s = [10.0, 0.05]")
+    for name in names:
+        np.testing.assert_allclose(
+            scene[name].boxes().time_utc_s, right[name].boxes().time_utc_s, atol=2e-6
+        )
+        assert scene[name].by_camera().boxes().time_utc_s[0] == pytest.approx(
+            right[name].boxes().time_utc_s[0] + late_s, abs=2e-6
+        )
+    found = fit(scene, "camera")
+    for clock in found.report.clocks.values():
+        assert clock.stated
+        assert abs(clock.offset_s - late_s) < 0.2
+        assert clock.sigma_s <= 0.05
+
+
+@pytest.mark.parametrize(
+    "value", ["[1.0]", "[1.0, 0.0]", "[1.0, -2.0]", '"ten"', "[1.0, 2.0, 3.0]"]
+)
+def test_a_clock_offset_that_is_none_is_refused(tmp_path: Path, value: str) -> None:
+    with pytest.raises(InputError, match="clock_offset_s"):
+        drawn_scene(tmp_path, {"01": 0.0}, duration_s=20.0, keys=f"clock_offset_s = {value}")
+
+
+def test_tracks_can_be_told_the_clock(right: Scene, model: Georeferencer) -> None:
+    boxes = right["01"].boxes()
+    late = boxes.with_columns(time_utc_s=boxes.time_utc_s + 40.0)
+    (expected,) = track(boxes, model)
+    (found,) = track(late, model, settings=TrackSettings(clock_offset_s=40.0))
+    np.testing.assert_allclose(found.time_utc_s, expected.time_utc_s, atol=1e-5)
+    np.testing.assert_allclose(found.east_m, expected.east_m, atol=1e-3)
+    with pytest.raises(InputError, match="clock_offset_s"):
+        TrackSettings(clock_offset_s=float("nan"))
+
+
+def error_m(made: Track, scene: Scene, name: str) -> float:
+    """RMSE of a track against the log at the track's own times."""
+    fixes, plane = scene[name].fixes(), scene.plane
+    assert plane is not None
+    east, north = plane.to_plane(fixes.latitude_deg, fixes.longitude_deg)
+    at = made.time_utc_s
+    off = np.hypot(
+        np.interp(at, fixes.time_utc_s, east) - made.east_m,
+        np.interp(at, fixes.time_utc_s, north) - made.north_m,
+    )
+    return float(np.sqrt(np.mean(off**2)))
+
+
+@pytest.mark.slow
+def test_a_run_writes_and_scores_tracks_in_the_logs_time(tmp_path: Path, right: Scene) -> None:
+    scene = drawn_scene(tmp_path, {"01": 40.0, "02": 40.0}, duration_s=60.0)
+    result, expected = sightline.run(scene), sightline.run(right)
+    assert result.smoothed is not None
+    assert expected.smoothed is not None
+    assert result.smoothed.ape.rmse == pytest.approx(expected.smoothed.ape.rmse, rel=0.1)
+    for name, tracks in result.tracks.items():
+        assert error_m(tracks[0], scene, name) < 1.1 * error_m(
+            expected.tracks[name][0], right, name
+        )
+    told = {name: clock.used_s for name, clock in result.clocks.items()}
+    for name, used_s in told.items():
+        assert used_s == pytest.approx(40.0, abs=1.0)
+        assert any(f"clock of recording {name} is" in note for note in result.notes)
+    assert set(result.clocks) == {"01", "02"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset_s", [1.0, 40.0, 3600.0])
+def test_a_run_without_drawn_boxes_uses_the_clock_that_it_finds(
+    tmp_path: Path, offset_s: float
+) -> None:
+    (tmp_path / "right").mkdir()
+    expected = sightline.run(unlabelled_scene(tmp_path / "right", 0.0, seed=1)).smoothed
+    result = sightline.run(unlabelled_scene(tmp_path, offset_s, seed=1))
+    clock = result.clocks["01"]
+    assert abs(clock.offset_s - offset_s) < 3.0 * clock.sigma_s
+    assert expected is not None
+    assert result.smoothed is not None
+    assert result.smoothed.ape.rmse < 1.1 * expected.ape.rmse
+
+
+def test_a_recording_left_out_is_scored_at_a_clock_of_its_own(
+    tmp_path: Path, model: Georeferencer
+) -> None:
+    """Its model never saw it: the clock comes from its boxes and log, and may differ."""
+    scene = drawn_scene(tmp_path, {"01": 3.0, "02": -20.0}, duration_s=60.0)
+    first, second = place_boxes(scene, lambda _: model)
+    assert first.clock is not None
+    assert second.clock is not None
+    assert abs(first.clock.offset_s - 3.0) < 3.0 * first.clock.sigma_s
+    assert abs(second.clock.offset_s + 20.0) < 3.0 * second.clock.sigma_s
