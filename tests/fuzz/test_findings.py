@@ -320,13 +320,18 @@ def test_videos_whose_words_are_in_another_encoding(examples: Path, tmp_path: Pa
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="what hangs is ended in a process of its own")
 @pytest.mark.parametrize(
-    ("reader", "name"), [("water levels", "a.csv"), ("boxes: MOTChallenge", "a.txt")]
+    ("reader", "name", "header"),
+    [
+        ("water levels", "a.csv", b"time_utc,water_level_m," + b"1," * 200_000),
+        ("water levels", "a.csv", b"time_utc,water_level_m"),
+        ("boxes: MOTChallenge", "a.txt", b"1,1,1,1,1,1"),
+    ],
 )
 def test_a_table_of_very_many_columns_is_refused(
-    reader: str, name: str, examples: Path, tmp_path: Path
+    reader: str, name: str, header: bytes, examples: Path, tmp_path: Path
 ) -> None:
     """Each column of a table costs pandas a millisecond."""
     path = tmp_path / name
-    path.write_bytes(b"time_utc,water_level_m," + b"1," * 200_000 + b"\n" + b"1," * 200_002 + b"\n")
-    outcome = call_apart(lambda: reader_by_name(reader).read(path, examples), Limits())
+    path.write_bytes(header + b"\n" + b"1," * 200_002 + b"\n")
+    outcome = call_apart(lambda: reader_by_name(reader).read(path, examples), Limits(patience=6.0))
     assert outcome.end in (READ, REFUSED), outcome.detail
