@@ -41,6 +41,7 @@ def test_check_refuses_what_a_run_refuses(
     assert json.loads(result.read_text())["refused"] is True
 
 
+@pytest.mark.slow
 def test_run_begins_with_the_check(sightline: Command, harbour: Path, tmp_path: Path) -> None:
     """It refuses before any work is done, and says what might go wrong where it goes on."""
     scene = harbour / "scene.toml"
