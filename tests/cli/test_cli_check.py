@@ -69,6 +69,16 @@ def test_check_of_single_files(sightline: Command, harbour: Path) -> None:
     assert "does not overlap" in done.out
 
 
+@pytest.mark.parametrize("name", ["scene.toml", "target.gpx", "boxes/01.csv"])
+def test_check_overwrites_nothing_that_it_reads(
+    sightline: Command, harbour: Path, name: str
+) -> None:
+    before = (harbour / name).read_bytes()
+    done = sightline("check", harbour / "scene.toml", "--json", harbour / name)
+    assert done.status == 2
+    assert (harbour / name).read_bytes() == before
+
+
 @pytest.mark.parametrize("name", ["nothing.toml", "nothing.gpx"])
 def test_check_of_what_is_not_there(sightline: Command, tmp_path: Path, name: str) -> None:
     done = sightline("check", tmp_path / name)
