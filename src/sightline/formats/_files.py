@@ -143,7 +143,7 @@ def table(
     Raises:
         InputError: The file cannot be read as a table, or its columns are others.
     """
-    _check_width(path, required)
+    check_width(path, _header(required))
     try:
         form = _form(path, required)
         header = pd.read_csv(existing(path), nrows=0, **form).columns
@@ -178,13 +178,20 @@ def table(
         raise InputError(f"{path}: is no table of comma-separated values ({reason})") from error
 
 
-def _check_width(path: str | os.PathLike[str], required: Sequence[str]) -> None:
-    """Refuse what has far more cells in a row than any table: each costs pandas time and memory."""
+def check_width(path: str | os.PathLike[str], expected: str) -> None:
+    """Refuse what has far more cells in a row than any table: each costs pandas time and memory.
+
+    Args:
+        path: The file.
+        expected: What a table would have, for the message.
+
+    Raises:
+        InputError: One of the first rows is so wide.
+    """
     for number, line in enumerate(beginning(path).splitlines()[:_LOOKED_AT_ROWS], start=1):
         if max(map(line.count, ",;\t")) > _MOST_COLUMNS:
             raise InputError(
-                f"{path}, line {number}: has more than {_MOST_COLUMNS} cells; expected "
-                f"{_header(required)}"
+                f"{path}, line {number}: has more than {_MOST_COLUMNS} cells; expected {expected}"
             )
 
 
@@ -360,6 +367,8 @@ def _text(cell: object) -> str:
         return str(cell)
     except ValueError:
         return "a number of thousands of digits"
+    except NotImplementedError:
+        return "a time that no calendar has"
 
 
 def fixes(
