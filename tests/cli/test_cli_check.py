@@ -41,6 +41,7 @@ def test_check_refuses_what_a_run_refuses(
     assert json.loads(result.read_text())["refused"] is True
 
 
+@pytest.mark.slow
 def test_run_begins_with_the_check(sightline: Command, harbour: Path, tmp_path: Path) -> None:
     """It refuses before any work is done, and says what might go wrong where it goes on."""
     scene = harbour / "scene.toml"
@@ -66,6 +67,16 @@ def test_check_of_single_files(sightline: Command, harbour: Path) -> None:
     assert f"log {harbour / 'target.gpx'}: " in done.out
     assert f"video {harbour / 'boat.mp4'}: 40 frames of 640 x 360 px" in done.out
     assert "does not overlap" in done.out
+
+
+@pytest.mark.parametrize("name", ["scene.toml", "target.gpx", "boxes/01.csv"])
+def test_check_overwrites_nothing_that_it_reads(
+    sightline: Command, harbour: Path, name: str
+) -> None:
+    before = (harbour / name).read_bytes()
+    done = sightline("check", harbour / "scene.toml", "--json", harbour / name)
+    assert done.status == 2
+    assert (harbour / name).read_bytes() == before
 
 
 @pytest.mark.parametrize("name", ["nothing.toml", "nothing.gpx"])

@@ -37,6 +37,7 @@ def check(
         report = check_any(what)
     finally:
         logger.setLevel(level)
+    keep_apart([json], [file.path for file in report.files])
     write_result(json, report.to_dict())
     for line in report.lines():
         say(line)

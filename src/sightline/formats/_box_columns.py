@@ -132,6 +132,8 @@ def form_of(path: str | os.PathLike[str]) -> TableForm:
         InputError: It is no text, or its columns are not those of boxes; names those it has.
     """
     encoding = _encoding(path)
+    if encoding != "utf-16":
+        _files.check_width(path, "a header with frame,x1,y1,x2,y2")
     head = _files.beginning(path) if encoding != "utf-16" else _head_utf16(path)
     # The last line may be cut off.
     lines = head.splitlines()
@@ -370,7 +372,8 @@ def _headless(
 ) -> TableForm:
     cells = [_split(row, separator) for row in rows]
     # A separator at the end of each row makes a cell that is never filled.
-    widest = max(i + 1 for row in cells for i, cell in enumerate(row) if cell)
+    filled = (i + 1 for row in cells for i, cell in enumerate(row) if cell)
+    widest = max(filled, default=0)
     if widest < 6:
         raise InputError(
             f"{path}: has {widest} columns; a MOTChallenge file has at least six: "

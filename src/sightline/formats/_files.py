@@ -25,6 +25,7 @@ _logger = logging.getLogger(__name__)
 
 _SNIFFED_BYTES = 65536
 _MOST_COLUMNS = 1000
+_LOOKED_AT_ROWS = 20
 _SENTENCE = re.compile(rb"[$!][A-Z]{5},[0-9A-Z.,*-]{6}")
 # What pandas takes for an empty cell of a column of numbers.
 MISSING = (
@@ -142,13 +143,7 @@ def table(
     Raises:
         InputError: The file cannot be read as a table, or its columns are others.
     """
-    header_line = beginning(path).partition("\n")[0]
-    if max(map(header_line.count, ",;\t")) > _MOST_COLUMNS:
-        # Each column costs pandas time and memory, and no table of ours has as many.
-        raise InputError(
-            f"{path}: its first line has more than {_MOST_COLUMNS} cells; expected "
-            f"{_header(required)}"
-        )
+    check_width(path, _header(required))
     try:
         form = _form(path, required)
         header = pd.read_csv(existing(path), nrows=0, **form).columns
@@ -183,6 +178,23 @@ def table(
         raise InputError(f"{path}: is no table of comma-separated values ({reason})") from error
 
 
+def check_width(path: str | os.PathLike[str], expected: str) -> None:
+    """Refuse what has far more cells in a row than any table: each costs pandas time and memory.
+
+    Args:
+        path: The file.
+        expected: What a table would have, for the message.
+
+    Raises:
+        InputError: One of the first rows is so wide.
+    """
+    for number, line in enumerate(beginning(path).splitlines()[:_LOOKED_AT_ROWS], start=1):
+        if max(map(line.count, ",;\t")) > _MOST_COLUMNS:
+            raise InputError(
+                f"{path}, line {number}: has more than {_MOST_COLUMNS} cells; expected {expected}"
+            )
+
+
 def _form(path: str | os.PathLike[str], required: Sequence[str]) -> dict[str, Any]:
     """How a table is written, for pandas: its encoding, and what parts cells and decimals."""
     with existing(path).open("rb") as file:
@@ -190,7 +202,7 @@ def _form(path: str | os.PathLike[str], required: Sequence[str]) -> dict[str, An
     encoding = text_encoding(data)
     lines = data.decode(encoding, errors="replace").lstrip("\ufeff").splitlines()
     comments = next((i for i, line in enumerate(lines) if not line.startswith("#")), 0)
-    header, *rows = lines[comments : comments + 20] or [""]
+    header, *rows = lines[comments : comments + _LOOKED_AT_ROWS] or [""]
     separator = ","
     for other in (";", "\t"):
         if set(required) <= {name.strip(' "') for name in header.split(other)} and other in header:
@@ -355,6 +367,8 @@ def _text(cell: object) -> str:
         return str(cell)
     except ValueError:
         return "a number of thousands of digits"
+    except NotImplementedError:
+        return "a time that no calendar has"
 
 
 def fixes(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import csv
 import re
 from pathlib import Path
 
@@ -78,8 +77,8 @@ def _text(head: bytes) -> str | None:
 
 
 def _kind_of_table(text: str) -> str:
-    header = text.partition("\n")[0]
-    names = {name.strip().lower() for name in next(csv.reader([header]), [])}
+    header = next(iter(text.splitlines()), "")
+    names = {name.strip(' "').lower() for name in re.split(r"[,;\t]", header)}
     for told, kind in _TABLES:
         if told <= names:
             return kind
