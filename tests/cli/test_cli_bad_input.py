@@ -592,7 +592,7 @@ PICTURES = [
             replace("scene.toml", "$", '\n[[recordings]]\nname = "v"\nvideo = "boat.mp4"\n'),
         ),
         "run {h}/scene.toml -o {t}/out --model qkr",
-        r"boat\\.mp4: has pictures of 640 x 360 px, and image_size_px says 1280 x 720",
+        r"boat\.mp4: has pictures of 640 x 360 px, and image_size_px says 1280 x 720",
     ),
     ("a start for pictures", nothing, FRAMES + " --start-utc 2020-09-30", r"give a clock"),
 ]

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ import pytest
 
 from sightline import Georeferencer, Scene, Tracks, load
 from sightline.formats import read_boxes, read_fixes, write_boxes
-from sightline.simulation.simulate import simulate
+from sightline.simulation.simulate import Simulation, SimulationSettings, simulate
 from sightline.types import Boxes
 
 Command = Callable[..., Any]
@@ -336,7 +336,13 @@ def test_simulate_writes_a_scene(sightline: Command, tmp_path: Path) -> None:
 def test_demo_runs_the_whole_way(
     sightline: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    small = partial(simulate, image_size_px=(320, 180), rate_hz=6.0)
+
+    def small(
+        folder: Path, settings: SimulationSettings, *, progress: Callable[[float], None]
+    ) -> Simulation:
+        less = replace(settings, image_size_px=(320, 180), rate_hz=6.0)
+        return simulate(folder, less, progress=progress)
+
     monkeypatch.setattr(sys.modules["sightline.simulation.simulate"], "simulate", small)
     out = tmp_path / "demo"
     done = sightline("demo", "-o", out, "--duration", 3, "--json", tmp_path / "d.json")

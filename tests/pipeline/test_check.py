@@ -128,12 +128,14 @@ def test_what_is_said_can_be_read_as_json(harbour: Path) -> None:
 def test_a_wrong_zone_is_named(harbour: Path, hours: int) -> None:
     shift_log(harbour, seconds=3600.0 * hours)
     report = checked(harbour)
-    assert len(report.problems) == 2
+    # A run finds the clock of the other zone, and a check says that there is one to find.
+    assert report.problems == []
     when = "later" if hours > 0 else "earlier"
-    for problem in report.problems:
-        assert "its log does not overlap it" in problem
-        assert f"{abs(hours)} hours {when}, 100 % of the recording" in problem
-    assert run_refuses(harbour)
+    named = [line for line in report.warnings if "its log does not overlap it" in line]
+    assert len(named) == 2
+    for line in named:
+        assert f"{abs(hours)} hours {when}, 100 % of the recording" in line
+    assert not run_refuses(harbour)
 
 
 def test_a_log_of_another_day_is_not_blamed_on_the_zone(harbour: Path) -> None:

@@ -27,6 +27,7 @@ from sightline.pipeline.file_checks import (
     covered_share,
     distance_text,
     distances_text,
+    hours_apart,
     overlap_share,
     span_text,
     started,
@@ -378,7 +379,13 @@ def _check_overlaps(scene: Scene, report: CheckReport) -> None:
             continue
         one.overlap = covered_share(times, log.time_utc_s)
         if overlap_share(times, log.time_utc_s) == 0.0:
-            apart.append(f"recording {recording.name}: {apart_text(times, log.time_utc_s)}")
+            line = f"recording {recording.name}: {apart_text(times, log.time_utc_s)}"
+            if hours_apart(times, log.time_utc_s) is None:
+                apart.append(line)
+            else:
+                # A fit tries the clocks of other zones.
+                report.warnings.append(f"{line} A run tries that clock, and says so")
+                together += 1
             continue
         together += 1
         if one.overlap < _LEAST_OVERLAP:
