@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypedDict, Unpack
 
 import numpy as np
 
@@ -127,24 +128,10 @@ class TrackSettings:
             )
 
 
-def track(
-    source: str | os.PathLike[str] | Boxes,
-    model: Georeferencer,
-    *,
-    detector: Detector | str | None = None,
-    clock: Clock | None = None,
-    start_utc_s: float | None = None,
-    platform: Platform | str | os.PathLike[str] | None = None,
-    horizons: Horizons | None = None,
-    water_levels: WaterLevels | float | str | os.PathLike[str] | None = None,
-    settings: TrackSettings | None = None,
-    progress: Progress | None = None,
-) -> Tracks:
-    """Smooth tracks of everything in a source.
+class SourceOptions(TypedDict, total=False):
+    """What a source comes with, each by its name; see `track`.
 
-    Args:
-        source: A video, a folder of frames, a stream, a table of boxes, or boxes.
-        model: Says where a box lies.
+    Attributes:
         detector: Finds boxes in frames: a name, the path of an ONNX file, or one's own. Absent:
             ``"harbour"``.
         clock: Tells the times of frames; absent: the video or the table does.
@@ -153,8 +140,33 @@ def track(
         horizons: Where the horizon lies, for boxes in a table; in frames it is looked for.
         water_levels: How high the water stands, metres above the datum of the model's scene, or a
             table of it; needed where that scene had such.
+    """
+
+    detector: Detector | str | None
+    clock: Clock | None
+    start_utc_s: float | None
+    platform: Platform | str | os.PathLike[str] | None
+    horizons: Horizons | None
+    water_levels: WaterLevels | float | str | os.PathLike[str] | None
+
+
+def track(
+    source: str | os.PathLike[str] | Boxes,
+    model: Georeferencer,
+    *,
+    settings: TrackSettings | None = None,
+    progress: Progress | None = None,
+    **options: Unpack[SourceOptions],
+) -> Tracks:
+    """Smooth tracks of everything in a source.
+
+    Args:
+        source: A video, a folder of frames, a stream, a table of boxes, or boxes.
+        model: Says where a box lies.
         settings: How boxes become tracks.
         progress: Told how far it is.
+        options: What the source comes with: ``detector``, ``clock``, ``start_utc_s``,
+            ``platform``, ``horizons``, ``water_levels``; see `SourceOptions`.
 
     Raises:
         InputError: The source cannot be read, nothing tells its times, or the model is of a camera
@@ -171,18 +183,7 @@ def track(
         >>> len(tracks), tracks[0].label
         (10, 'sailboat')
     """
-    found = iter_tracks(
-        source,
-        model,
-        detector=detector,
-        clock=clock,
-        start_utc_s=start_utc_s,
-        platform=platform,
-        horizons=horizons,
-        water_levels=water_levels,
-        settings=settings,
-        progress=progress,
-    )
+    found = iter_tracks(source, model, settings=settings, progress=progress, **options)
     made: list[Track] = []
     try:
         made.extend(found)
@@ -196,16 +197,11 @@ def iter_tracks(
     source: str | os.PathLike[str] | Boxes,
     model: Georeferencer,
     *,
-    detector: Detector | str | None = None,
-    clock: Clock | None = None,
-    start_utc_s: float | None = None,
-    platform: Platform | str | os.PathLike[str] | None = None,
-    horizons: Horizons | None = None,
-    water_levels: WaterLevels | float | str | os.PathLike[str] | None = None,
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
     forecasts: Callable[[Track], None] | None = None,
     stop: threading.Event | None = None,
+    **options: Unpack[SourceOptions],
 ) -> Iterator[Track]:
     """As `track`, yielding each track once its target has gone, in constant memory.
 
@@ -215,18 +211,13 @@ def iter_tracks(
     Args:
         source: See `track`.
         model: See `track`.
-        detector: See `track`.
-        clock: See `track`.
-        start_utc_s: See `track`.
-        platform: See `track`.
-        horizons: See `track`.
-        water_levels: See `track`.
         settings: See `track`.
         progress: See `track`.
         forecasts: Is given the forecast of each track, from its last position on and by its
             positions alone, as a track of extrapolated points with the same number.
         stop: Ends the source when it is set, by another thread or a signal's handler, as if there
             were no more of it; even while a stream is silent.
+        options: See `track`.
 
     Raises:
         InputError: See `track`.
@@ -243,13 +234,18 @@ def iter_tracks(
         >>> bool((forecasts[0].time_utc_s > first.time_utc_s[-1]).all())
         True
     """
+    unknown = sorted(options.keys() - SourceOptions.__annotations__.keys())
+    if unknown:
+        raise TypeError(f"a source has no option {unknown[0]!r}")
     settings = settings or TrackSettings()
     smoother = method(settings.trajectory)
+    clock, start_utc_s = options.get("clock"), options.get("start_utc_s")
+    platform = options.get("platform")
     if platform is not None and not isinstance(platform, Platform):
         platform = Platform(formats.read_fixes(platform), formats.read_headings(platform))
     check_platform(model, platform)
     late_s = settings.clock_offset_s
-    water = _by_camera(_water(water_levels), late_s)
+    water = _by_camera(_water(options.get("water_levels")), late_s)
     model.check_water(water is not None)
     table = isinstance(source, Boxes) or is_table(source)
     if table and start_utc_s is not None:
@@ -266,7 +262,7 @@ def iter_tracks(
             if isinstance(source, Boxes)
             else read_table(source, model.image_size_px, stop=stop)
         )
-        history = CameraHistory(horizons=horizons, water=water)
+        history = CameraHistory(horizons=options.get("horizons"), water=water)
         dated = (with_times(boxes, clock, model, where) for boxes in ending.until(batches))
         observed: Iterator[ObservedBoxes] = map(history.observed, dated)
     else:
@@ -281,7 +277,7 @@ def iter_tracks(
         if model.horizon_px is not None:
             usable = with_horizons(usable)
         count = stopping.call(partial(frame_count, source), stop)
-        found = detect(usable, make_detector(detector, model), count, progress)
+        found = detect(usable, make_detector(options.get("detector"), model), count, progress)
         observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
     if late_s:
         observed = (_in_log_time(boxes, late_s) for boxes in observed)
