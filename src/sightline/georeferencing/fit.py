@@ -68,22 +68,6 @@ class FitInputs:
     clocks: Mapping[str, RecordingClock] = field(default_factory=dict)
     name: str = "the scene"
 
-    def without(self, recording: str) -> FitInputs:
-        """The same without one recording."""
-        pairs = self.correspondences
-        kept = pairs[pairs.recording != recording]
-        return replace(
-            self,
-            correspondences=replace(kept, asked=pairs.asked - self.asked.get(recording, 0)),
-            horizons={name: own for name, own in self.horizons.items() if name != recording},
-            static_intervals={
-                name: own for name, own in self.static_intervals.items() if name != recording
-            },
-            statements=tuple(
-                said for said in self.statements if not said.startswith(f"Recording {recording}:")
-            ),
-        )
-
 
 @dataclass(frozen=True)
 class FitSettings:

@@ -300,6 +300,7 @@ def leave_one_out(
     *,
     seed: int = 0,
     extra: Mapping[str, Boxes] | None = None,
+    inputs: Mapping[str, FitInputs] | None = None,
 ) -> dict[str, Georeferencer]:
     """Leave-one-out models: for each recording with correspondences one that never saw it.
 
@@ -308,17 +309,38 @@ def leave_one_out(
         model: Name of the model.
         seed: Of whatever is random in the fits.
         extra: Further boxes of the logged target, by recording; see `fit`.
+        inputs: What `left_out_inputs` made of the scene. Absent: it is asked.
 
     Raises:
         FitError: Fewer than two recordings have pairs, or what is left is too little.
     """
     kind = model_type(model)
-    inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
+    pictures = kind.name not in PAPER_MODELS
+    if inputs is None:
+        inputs = left_out_inputs(scene, extra=extra, pictures=pictures)
+    if not pictures:
+        inputs = {name: replace(own, static_intervals={}) for name, own in inputs.items()}
     settings = FitSettings(model=kind, seed=seed)
-    return {
-        name: fit_inputs(inputs.without(name), settings)
-        for name in recordings_with_correspondences(scene, inputs)
-    }
+    return {name: fit_inputs(own, settings) for name, own in inputs.items()}
+
+
+def left_out_inputs(
+    scene: Scene, *, extra: Mapping[str, Boxes] | None = None, pictures: bool = True
+) -> dict[str, FitInputs]:
+    """Inputs of leave-one-out fits, by the recording that each was collected without.
+
+    Each is collected anew: the clocks of the others are told without the one that is left out.
+
+    Args:
+        scene: The scene.
+        extra: Further boxes of the logged target, by recording; see `fit`.
+        pictures: Whether the pictures of the recordings are asked if the camera was turned.
+
+    Raises:
+        FitError: See `leave_one_out`.
+    """
+    names = recordings_with_correspondences(scene, collect(scene, extra=extra, pictures=False))
+    return {name: collect(scene.without([name]), extra=extra, pictures=pictures) for name in names}
 
 
 def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str]:
@@ -385,10 +407,11 @@ def compare(
     single: dict[str, Report] = {}
     smooth: dict[str, Report] = {}
     all_placed: dict[str, list[LocatedRecording]] = {}
+    inputs = left_out_inputs(scene, pictures=any(name not in PAPER_MODELS for name in models))
     for i, name in enumerate(models):
         if progress:
             progress(f"fitting {name}", i / len(models))
-        fitted = leave_one_out(scene, name, seed=seed)
+        fitted = leave_one_out(scene, name, seed=seed, inputs=inputs)
         placed = place_boxes(scene.select(fitted), fitted.__getitem__)
         single[name] = score(placed)
         after = trajectory or ("paper" if name in PAPER_MODELS else DEFAULT_TRAJECTORY)

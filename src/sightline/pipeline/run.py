@@ -306,17 +306,20 @@ def _leave_each_out(
     names = [r.name for r in scene.recordings if r.fixes_path is not None]
     if drawn:
         kind = model_type(model)
-        inputs = collect(scene, extra=extra, pictures=kind.name not in PAPER_MODELS)
+        pictures = kind.name not in PAPER_MODELS
         settings = FitSettings(model=kind, seed=seed)
         try:
-            names = recordings_with_correspondences(scene, inputs)
+            every = collect(scene, extra=extra, pictures=False)
+            names = recordings_with_correspondences(scene, every)
         except FitError as error:
             return models, error
     for i, name in enumerate(names):
         tell(f"fitting without {name}", i / len(names))
         try:
             if drawn:
-                models[name] = fit_inputs(inputs.without(name), settings)
+                # Anew: the clocks of the others are told without it.
+                others = collect(scene.without([name]), extra=extra, pictures=pictures)
+                models[name] = fit_inputs(others, settings)
             else:
                 models[name] = fit_scene(scene.without([name]), model, seed=seed, seen=seen)
         except FitError as error:
