@@ -361,5 +361,6 @@ def _concerns(error: OSError, final: Path, work: Path) -> bool:
         return False
     if error.filename is None:
         return True
-    named = Path(os.fsdecode(error.filename))
+    # FFmpeg is told that a name is one of a file.
+    named = Path(os.fsdecode(error.filename).removeprefix("file:"))
     return named in (final, work, final.parent) or work in named.parents or named in final.parents

@@ -26,9 +26,9 @@ ZONES_S = tuple(
 )
 """Offsets of time zones against UTC, and of summer time: the nearest first."""
 
-# Standard deviations: a right clock seems to be off in one recording of twenty, by half a second or
+# Standard deviations: a right clock seems to be off in one recording of eighty, by half a second or
 # so, and one that is off by a second is seldom missed.
-_SURE = 2.0
+_SURE = 2.5
 _ZONE_NATS = 5.0
 
 

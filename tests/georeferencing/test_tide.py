@@ -186,7 +186,9 @@ def test_one_box_and_many_and_each_at_its_own_level_agree(learned: Scene, name: 
     spread = fitted.locate(boxes.xyxy_px, "me", np.full(len(boxes), DATUM_M + 0.5))
     for column in ("east_m", "north_m", "covariance_m2", "shared_covariance_m2"):
         one_by_one = np.concatenate([getattr(one, column) for one in alone])
-        np.testing.assert_allclose(one_by_one, getattr(many, column), rtol=1e-7, atol=1e-9)
+        # The variance of the residual process is computed in single precision.
+        rtol = 1e-6 if "covariance" in column else 1e-7
+        np.testing.assert_allclose(one_by_one, getattr(many, column), rtol=rtol, atol=1e-9)
         np.testing.assert_allclose(getattr(spread, column), getattr(alike, column), rtol=1e-12)
 
 

@@ -21,6 +21,7 @@ from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.models import control_landmarks
 from sightline.platform import Platform, to_bow, turned
+from sightline.plausibility import FASTEST_MPS
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene.camera_state import scene_horizons
 from sightline.scene.scene import Recording, Scene
@@ -137,7 +138,10 @@ class _Drawn:
                 pose = self.platform.pose(times, plane)
                 en_m, velocity_mps = to_bow(en_m, pose), turned(velocity_mps, pose.heading_rad)
             above_m = self._above(times, level_m)
-            rows = np.flatnonzero(np.isfinite(en_m).all(axis=1) & np.isfinite(above_m))
+            known = np.isfinite(en_m).all(axis=1) & np.isfinite(above_m)
+            # Beside a leap of the log the velocity is that of the leap, and would settle the clock.
+            known &= ~(np.hypot(*place.velocity_mps.T) > FASTEST_MPS)
+            rows = np.flatnonzero(known)
             return PointCorrespondences(
                 pixel_px=foot_px[rows],
                 east_m=en_m[rows, 0],
