@@ -161,7 +161,7 @@ def test_one_recording_without_overlap_is_a_warning(harbour: Path) -> None:
 
 def test_hours_apart() -> None:
     log = START_UTC_S + np.arange(0.0, 1800.0)
-    for hours in (-14, -5, -1, 1, 3, 14):
+    for hours in (-14, -5, -1, 1, 1.5, 3, 5.5, 14):
         recording = START_UTC_S + 100.0 + np.arange(60.0) - 3600.0 * hours
         assert hours_apart(recording, log) == (hours, 1.0)
     assert hours_apart(START_UTC_S + 86_400.0 * 2 + np.arange(60.0), log) is None

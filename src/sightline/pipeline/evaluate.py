@@ -96,6 +96,11 @@ def evaluate(
     return report
 
 
+_ON_BOARD = 2.5
+"""How much less sure a clock is that boxes from on board tell: swell, heading and the own log err
+for seconds, and for all boxes alike."""
+
+
 @dataclass(frozen=True, eq=False)
 class LocatedRecording:
     """The located boxes of the target in one recording, with its log.
@@ -210,13 +215,16 @@ def clock_of(recording: Recording, boxes: LocatedBoxes, model: Georeferencer) ->
         moved = boxes.boxes.with_columns(time_utc_s=times)
         return positions_on_earth(LocatedBoxes.at(moved, boxes.positions), platform)
 
-    return match_clock(
+    found = match_clock(
         boxes.time_utc_s + recording.clock_offset_s,
         positions_at,
         recording.fixes(),
         prior=recording.clock_prior,
         reference_sigma_m=model.reference_sigma_m,
     )
+    if found is None or platform is None:
+        return found
+    return replace(found, sigma_s=_ON_BOARD * found.sigma_s)
 
 
 def clock_notes(clocks: Mapping[str, ClockOffset | None]) -> tuple[str, ...]:

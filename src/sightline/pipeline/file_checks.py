@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline import formats, video
 from sightline.clock import Clock
+from sightline.clock_offset import ZONES_S
 from sightline.errors import InputError, SightlineError
 from sightline.geodesy import LocalPlane
 from sightline.synchronisation import LARGEST_GAP_S, distinct
@@ -31,7 +32,7 @@ _UNSTEADY = 0.5
 """A tenth of the frames that differ from their usual interval by more than this share of it."""
 _SELDOM_S = 6.0
 _TOLD_S = 1e-3
-_HOURS = (*range(-14, 0), *range(1, 15))
+_HOURS = tuple(zone_s / 3600.0 for zone_s in ZONES_S)
 
 
 @dataclass(eq=False)
@@ -463,18 +464,18 @@ def check_clock(path: Path) -> tuple[FileCheck, Clock | None]:
     return check, clock
 
 
-def hours_apart(time_utc_s: FloatArray, log_utc_s: FloatArray) -> tuple[int, float] | None:
-    """The whole number of hours later at which times would lie within a log's, and their share.
+def hours_apart(time_utc_s: FloatArray, log_utc_s: FloatArray) -> tuple[float, float] | None:
+    """The hours of a time zone later at which times would lie within a log's, and their share.
 
     Args:
         time_utc_s: (N,) times of a recording.
         log_utc_s: (M,) times of a log, in order.
 
     Returns:
-        None where no whole number of hours up to fourteen brings them together.
+        None where no time zone brings them together.
     """
-    best: tuple[int, float] | None = None
-    for hours in sorted(_HOURS, key=abs):
+    best: tuple[float, float] | None = None
+    for hours in sorted(_HOURS, key=lambda hours: (hours % 1.0 != 0.0, abs(hours))):
         share = overlap_share(time_utc_s + 3600.0 * hours, log_utc_s)
         if share > 0.0 and (best is None or share > best[1] + 0.05):
             best = hours, share
@@ -514,6 +515,6 @@ def apart_text(time_utc_s: FloatArray, log_utc_s: FloatArray) -> str:
     unit = "hour" if abs(number) == 1 else "hours"
     when = "later" if number > 0 else "earlier"
     return (
-        f"{line}; {abs(number)} {unit} {when}, {100.0 * share:.0f} % of the recording would lie "
+        f"{line}; {abs(number):g} {unit} {when}, {100.0 * share:.0f} % of the recording would lie "
         "within the log: is one of them in local time?"
     )
