@@ -58,8 +58,9 @@ _TURNS_PS3 = np.geomspace(1e-4, 1e6, 21)
 _RATE_PS2 = 1e9
 _APART_S = 0.9
 _HEADINGS_APART_S = 0.2
-# Fewer do not tell what is noise.
+# Fewer do not tell what is noise, nor do those that come so seldom that a hull yaws between them.
 _ENOUGH_HEADINGS = 16
+_SELDOM_S = 0.5
 _LEARNED_FROM = 3600
 _COURSE_SPAN_S = 8.0
 _LEAST_COURSE_SIGMAS = 4.0
@@ -143,7 +144,7 @@ class Platform:
     def _logged(self, times: FloatArray, until_then: bool) -> tuple[FloatArray, FloatArray]:
         assert self.headings is not None, "the caller has looked"
         log_s = self.headings.time_utc_s
-        if len(log_s) < _ENOUGH_HEADINGS:
+        if len(log_s) < _ENOUGH_HEADINGS or np.median(np.diff(log_s)) > _SELDOM_S:
             heading = np.interp(times, log_s, np.unwrap(np.radians(self.headings.heading_deg)))
         else:
             turning = _turning(self.headings)
