@@ -7,6 +7,7 @@ rows count.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ from sightline.formats._box_columns import TableForm, form_of
 from sightline.tally import Tally
 from sightline.text import text_of_cell
 from sightline.types import NO_TRACK, BoolArray, Boxes, FloatArray, IntArray
+
+_logger = logging.getLogger(__name__)
 
 _SURVEY_ROWS = 20_000
 _FEWEST_TO_JUDGE = 10
@@ -140,34 +143,39 @@ def iter_box_table(
     path: str | os.PathLike[str],
     chunk_rows: int,
     *,
-    tally: Tally,
     source: str = "",
     skip_empty: bool = False,
     image_size_px: tuple[int, int] | None = None,
+    tally: Tally | None = None,
 ) -> Iterator[Boxes]:
     """Boxes of a table in chunks, at constant memory; see `sightline.formats.read_boxes`.
+
+    Without a tally of the caller's, what is left out is logged when the table has been read.
 
     Raises:
         InputError: The table cannot be understood, a row holds no box, or no row is left.
     """
+    own = Tally(path) if tally is None else tally
     form = form_of(path)
-    tally.format = "table of boxes" if form.names else "MOTChallenge"
+    own.format = "table of boxes" if form.names else "MOTChallenge"
     for name in form.unused:
-        tally.note(f"the column {_files.shortened(name)} is not used")
+        own.note(f"the column {_files.shortened(name)} is not used")
     survey = _Survey()
     for rows in _chunks(path, form, _SURVEY_ROWS):
         survey.add(form, rows)
-    meaning = _meaning(path, form, survey, tally, skip_empty, image_size_px)
+    meaning = _meaning(path, form, survey, own, skip_empty, image_size_px)
     left = 0
     for rows in _chunks(path, form, chunk_rows):
-        tally.count("rows", len(rows))
-        boxes = _boxes(path, form, meaning, rows, source, tally)
+        own.count("rows", len(rows))
+        boxes = _boxes(path, form, meaning, rows, source, own)
         left += len(boxes)
         yield boxes
-    tally.count("boxes", left)
-    dropped = {reason for reason in tally.left_out if reason not in _CHOSEN}
+    own.count("boxes", left)
+    dropped = {reason for reason in own.left_out if reason not in _CHOSEN}
     if survey.rows and not left and dropped:
-        raise InputError(f"{path}: none of its {survey.rows} rows is of use: {tally.reasons()}")
+        raise InputError(f"{path}: none of its {survey.rows} rows is of use: {own.reasons()}")
+    if tally is None:
+        own.warn(_logger)
 
 
 def _chunks(

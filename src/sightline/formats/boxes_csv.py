@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,8 +19,6 @@ from sightline.formats._box_table import iter_box_table, refuse_empty
 from sightline.tally import Tally
 from sightline.text import cell_text, text_of_cell
 from sightline.types import NO_FRAME, NO_TRACK, BoolArray, Boxes
-
-_logger = logging.getLogger(__name__)
 
 _CORNERS = ("x1", "y1", "x2", "y2")
 
@@ -58,24 +55,21 @@ def iter_boxes_csv(
             are refused without it.
         tally: Counts rows and boxes, and what is left out.
 
-    Yields:
+    Returns:
         Tables of boxes.
 
     Raises:
         InputError: A column is missing, a row holds no box, or none of the rows is of use; names
             file and line.
     """
-    own = tally if tally is not None else Tally(path)
-    yield from iter_box_table(
+    return iter_box_table(
         path,
         chunk_rows,
-        tally=own,
         source=source,
         skip_empty=skip_empty,
         image_size_px=image_size_px,
+        tally=tally,
     )
-    if tally is None:
-        own.warn(_logger)
 
 
 def targets(path: str | os.PathLike[str], rows: pd.DataFrame) -> BoolArray:

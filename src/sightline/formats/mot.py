@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,8 +17,6 @@ from sightline.errors import InputError
 from sightline.formats._box_table import iter_box_table
 from sightline.tally import Tally
 from sightline.types import NO_FRAME, Boxes
-
-_logger = logging.getLogger(__name__)
 
 
 def iter_mot(
@@ -49,23 +46,20 @@ def iter_mot(
         image_size_px: Width and height of the picture, for boxes in shares of it.
         tally: Counts rows and boxes, and what is left out.
 
-    Yields:
+    Returns:
         Tables of boxes.
 
     Raises:
         InputError: A row cannot be understood or holds no box; names file and line.
     """
-    own = tally if tally is not None else Tally(path)
-    yield from iter_box_table(
+    return iter_box_table(
         path,
         chunk_rows,
-        tally=own,
         source=source,
         skip_empty=skip_empty,
         image_size_px=image_size_px,
+        tally=tally,
     )
-    if tally is None:
-        own.warn(_logger)
 
 
 def write_mot(boxes: Boxes, path: str | os.PathLike[str]) -> None:

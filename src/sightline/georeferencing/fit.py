@@ -47,8 +47,6 @@ class FitInputs:
         horizons: By recording, where the horizon lay in its frames; of a camera that rolls.
         static_intervals: By recording, the static intervals of its camera.
         landmarks: Pixels whose place is known roughly.
-        asked: By recording, how many boxes there were before those without a fix on either side
-            were left out; only for the report.
         statements: Sentences for people on what was left out of the logs.
         clocks: By recording, what was taken off its times, and what is believed of its clock.
         name: Begins messages: the scene file.
@@ -63,7 +61,6 @@ class FitInputs:
     horizons: Mapping[str, Horizons] = field(default_factory=dict)
     static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
-    asked: Mapping[str, int] = field(default_factory=dict)
     statements: tuple[str, ...] = ()
     clocks: Mapping[str, RecordingClock] = field(default_factory=dict)
     name: str = "the scene"

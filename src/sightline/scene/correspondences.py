@@ -52,11 +52,6 @@ def collect(
         scene, plane if plane is not None else _middle(scene), extra=extra
     )
     anything = len(pairs) or len(scene.control_points)
-    asked = {
-        recording.name: len(recording.boxes()) + len((extra or {}).get(recording.name, ()))
-        for recording in scene.recordings
-        if recording.boxes_path is not None and recording.fixes_path is not None
-    }
     horizons = {recording.name: scene_horizons(recording) for recording in scene.recordings}
     return FitInputs(
         correspondences=pairs,
@@ -67,7 +62,6 @@ def collect(
         tidal=scene.tidal,
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
-        asked=asked,
         statements=_on_leaps(scene, pairs.plane),
         clocks=scene_clocks(scene),
         name=str(scene.path),
