@@ -40,7 +40,6 @@ from sightline.camera.parameters import (
 from sightline.camera.pinhole import Camera, project_with_jacobian
 from sightline.camera.priors import (
     _NOISE_CENTRE,
-    _NOISE_WIDTH,
     ANY_ASPECT,
     CameraPrior,
     PixelNoise,
@@ -58,7 +57,7 @@ _WIDE = 20.0
 _KNOWN_AT = 0.7
 # Below this a target's course says little about where its bow points.
 _UNDER_WAY_MPS = 0.5
-_ROUNDS = 4
+_ROUNDS = int(__import__('os').environ.get('ROUNDS', '6'))
 # Clocks that are further off than this are not what people call right.
 _RIGHT_S = 1.5
 # Of a standard deviation: a step so small ends the search.
@@ -70,6 +69,25 @@ _SAME_END = 0.05
 _MOST_PULLED = 2.0
 # A receiver stands somewhere on its boat.
 _MIDDLE_SIGMA_M = 1.0
+_SHARE = float(__import__("os").environ.get("SHARE", "0.5"))
+_NAMES = (
+    "row_px row_m column_px place_m correlated_m correlation_time_s heave_m offset_m "
+    "lasting_row_px lasting_column_px lasting_time_s"
+).split()
+# By part: logarithmic (median, width) or exponential (mean,).
+_NOISE_PRIOR = {
+    "row_px": (1.0, 0.7),
+    "column_px": (2.0, 0.7),
+    "row_m": (1.0,),
+    "place_m": (1.0,),
+    "correlated_m": (1.0,),
+    "correlation_time_s": (20.0, 1.0),
+    "heave_m": (0.15, 1.0),
+    "offset_m": (1.0,),
+    "lasting_row_px": (1.0,),
+    "lasting_column_px": (1.0,),
+    "lasting_time_s": (2.0, 1.5),
+}
 # A hull's beam over its length, and by what share of itself a length read off boxes may be wrong:
 # off tight boxes of rendered hulls it comes out 4 to 11 % too short, and people leave margins.
 _BEAM_SHARE = 0.35
@@ -539,10 +557,8 @@ class _Problem:
                 self.blocks,
                 variance / weight,
                 by_place,
-                noise.correlated_m,
-                noise.correlation_time_s,
+                noise,
                 by_point[:, :, 2],
-                noise.heave_m,
             )
             both = whitening.forward(np.concatenate([jacobian, residual[:, :, None]], axis=2))
             flat = both.reshape(-1, vector.size + 1)
@@ -557,8 +573,8 @@ class _Problem:
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
             left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
             pull = whitening.backward(left)[:, :, 0]
-            drift = whitening.correlated_error(pull)
-            shift = drift + latent * np.einsum("nij,ni->nj", by_place, pull)
+            drift, offset = whitening.correlated_error(pull)
+            shift = offset + _SHARE * drift
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
             vector = vector + step
@@ -566,7 +582,7 @@ class _Problem:
                 break
         if not self._ahead(vector):
             return None
-        return _Refined(vector, drift, weight, standard)
+        return _Refined(vector, shift, weight, standard)
 
     def reach(self, size: int) -> FloatArray:
         """(size,) the largest step of each parameter."""
@@ -663,23 +679,26 @@ class _Problem:
         parts[1, :, 1] = self.pixels_per_metre(found.vector) ** 2
         parts[2, :, 0] = 1.0
         parts[3] = np.where(self.boxes[:, None], per_metre, 0.0)
-        count = 7 if self.heaving else 6 if self.blocks else 4
-        centre, width = np.log(_NOISE_CENTRE[:count]), np.array(_NOISE_WIDTH[:count])
+        names = ["row_px", "row_m", "column_px", "place_m"]
+        if self.blocks:
+            names += [
+                "correlated_m",
+                "correlation_time_s",
+                "offset_m",
+                "lasting_row_px",
+                "lasting_column_px",
+                "lasting_time_s",
+            ]
+        if self.heaving:
+            names.append("heave_m")
         columns = np.concatenate([jacobian, residual[:, :, None]], axis=2)
 
         def negative_log(t: FloatArray) -> tuple[float, FloatArray]:
-            correlated_m, correlation_time_s = np.exp(t[4:6]).tolist() if count > 4 else (0.0, 1.0)
-            heave_m = float(np.exp(t[6])) if count > 6 else 0.0
+            now = replace(before, **dict(zip(names, np.exp(t).tolist(), strict=True)))
+            if not self.blocks:
+                now = replace(now, correlated_m=0.0)
             variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
-            whitening = Whitening(
-                self.blocks,
-                variance,
-                by_place,
-                correlated_m,
-                correlation_time_s,
-                by_point[:, :, 2],
-                heave_m,
-            )
+            whitening = Whitening(self.blocks, variance, by_place, now, by_point[:, :, 2])
             both = whitening.forward(columns)
             flat = both.reshape(-1, size + 1)
             factor = cho_factor(
@@ -691,29 +710,45 @@ class _Problem:
             value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
             solved = whitening.backward(both)
             covariance = cho_solve(factor, np.eye(size), check_finite=False)
-            by_variance, *by_correlated = whitening.gradient(
-                solved[:, :, -1] - solved[:, :, :-1] @ step,
-                solved[:, :, :-1],
-                covariance,
-                correlation_time_s,
+            by_variance, by_name = whitening.gradient(
+                solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance
             )
             by_part = np.tensordot(parts, by_variance / found.weight, 2)
-            gradient = np.concatenate([2.0 * np.exp(2.0 * t[:4]) * by_part, by_correlated])[:count]
-            belief = (t - centre) / width
-            return value + 0.5 * float(belief @ belief), gradient + belief / width
+            by_name |= dict(
+                zip(names[:4], (2.0 * np.exp(2.0 * t[:4]) * by_part).tolist(), strict=True)
+            )
+            gradient = np.array([by_name[name] for name in names])
+            for i, name in enumerate(names):
+                prior = _NOISE_PRIOR[name]
+                if len(prior) == 2:
+                    belief = (t[i] - np.log(prior[0])) / prior[1]
+                    value += 0.5 * belief**2
+                    gradient[i] += belief / prior[1]
+                else:
+                    value += float(np.exp(t[i])) / prior[0]
+                    gradient[i] += np.exp(t[i]) / prior[0]
+            return value, gradient
 
-        at = np.log([getattr(before, column.name) for column in fields(before)][:count])
+        bounds, at = [], []
+        for name in names:
+            prior = _NOISE_PRIOR[name]
+            low, high = (
+                (np.log(prior[0]) - 4.0 * prior[1], np.log(prior[0]) + 4.0 * prior[1])
+                if len(prior) == 2
+                else (np.log(prior[0]) - 6.0, np.log(prior[0]) + 6.0)
+            )
+            bounds.append((low, high))
+            value = getattr(before, name)
+            at.append(np.clip(np.log(value) if value > 0.0 else np.log(0.3 * prior[0]), low + 0.7, high - 0.7))
         best = minimize(
             negative_log,
-            at,
+            np.array(at),
             jac=True,
             method="L-BFGS-B",
-            bounds=list(zip(centre - 4.0 * width, centre + 4.0 * width, strict=True)),
+            bounds=bounds,
             options={"maxiter": 25, "ftol": 1e-6},
         )
-        estimated = PixelNoise(*np.exp(best.x).tolist())
-        # Where no two fixes are near in time, correlated noise cannot be estimated.
-        return estimated if self.blocks else replace(estimated, correlated_m=0.0)
+        return replace(before, **dict(zip(names, np.exp(best.x).tolist(), strict=True)), **({} if self.blocks else {"correlated_m": 0.0}))
 
     def summarise(
         self, found: _Refined, noise: PixelNoise, ends: list[FloatArray], starts: int
@@ -730,10 +765,8 @@ class _Problem:
             self.blocks,
             variance * crowding / found.weight,
             by_place,
-            noise.correlated_m,
-            noise.correlation_time_s,
+            noise,
             by_point[:, :, 2],
-            noise.heave_m,
         )
         scaled = whitening.forward(jacobian).reshape(-1, found.vector.size)
         _, beliefs = self.beliefs(found.vector.size)

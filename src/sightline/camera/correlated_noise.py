@@ -16,10 +16,12 @@ apart it would be taken for an error of the log, and that is none of the boxes'.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, lapack, solve_triangular
 
+from sightline.camera.priors import PixelNoise
 from sightline.types import BoolArray, FloatArray, IntArray
 
 LONGEST_BLOCK_S = 60.0
@@ -46,14 +48,39 @@ class Block:
 
     Attributes:
         rows: (n,) int64, which correspondences.
-        apart_s: (n, n) float64, seconds between any two of them, less where these are few.
+        apart_s: (n, n) float64, seconds between any two boxes.
+        fixes_s: (n, 2) float64, times of the fixes that each place is interpolated between.
+        shares: (n, 2) float64, how much each of the two counts.
         gap_m2: (n, n) float64, square metres, covariance of the places along either axis that gaps
             of the log make, which is known; None where there are none.
     """
 
     rows: IntArray
     apart_s: FloatArray
+    fixes_s: FloatArray
+    shares: FloatArray
     gap_m2: FloatArray | None = None
+
+    @cached_property
+    def _fix_pairs(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        times, at = np.unique(self.fixes_s, return_inverse=True)
+        weights = np.zeros((self.rows.size, times.size))
+        row = np.arange(self.rows.size)
+        at = at.reshape(self.fixes_s.shape)
+        for side in (0, 1):
+            np.add.at(weights, (row, at[:, side]), self.shares[:, side])
+        return weights, np.abs(times[:, None] - times[None, :]), times
+
+    def log_kernel(self, correlation_time_s: float) -> FloatArray:
+        """(n, n) correlation of the log's error at the boxes: of what lies between fixes."""
+        weights, apart, _ = self._fix_pairs
+        return np.asarray(weights @ np.exp(-apart / correlation_time_s) @ weights.T)
+
+    def log_kernel_slope(self, correlation_time_s: float) -> FloatArray:
+        """(n, n) derivative of `log_kernel` by the logarithm of the correlation time."""
+        weights, apart, _ = self._fix_pairs
+        scaled = apart / correlation_time_s
+        return np.asarray(weights @ (np.exp(-scaled) * scaled) @ weights.T)
 
 
 def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
@@ -93,8 +120,27 @@ def blocks_of(
             known = None
             if sigma_m is not None and gap_s is not None and sigma_m[part].any():
                 known = gap_covariance(time_s[part], sigma_m[part], gap_s[part])
-            out.append(Block(part, _apart(time_s[part]), known))
+            out.append(Block(part, _lag(time_s[part]), *_between(time_s[part], gap_s, part), known))
     return out
+
+
+def _between(
+    time_s: FloatArray, gap_s: FloatArray | None, part: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 2) times of the fixes around boxes, and (n, 2) the share of each in a place."""
+    own = np.stack([time_s, time_s], axis=1)
+    if gap_s is None:
+        return own, np.full(own.shape, 0.5)
+    fixes = gap_s[part]
+    known = np.isfinite(fixes).all(axis=1) & (fixes[:, 1] > fixes[:, 0])
+    fixes = np.where(known[:, None], fixes, own)
+    span = np.where(known, fixes[:, 1] - fixes[:, 0], 1.0)
+    late = np.where(known, np.clip((time_s - fixes[:, 0]) / span, 0.0, 1.0), 0.5)
+    return fixes, np.stack([1.0 - late, late], axis=1)
+
+
+def _lag(time_s: FloatArray) -> FloatArray:
+    return np.asarray(np.abs(time_s[:, None] - time_s[None, :]))
 
 
 def gap_covariance(time_s: FloatArray, sigma_m: FloatArray, gap_s: FloatArray) -> FloatArray:
@@ -169,12 +215,10 @@ class Whitening:
 
     Args:
         blocks: Of `blocks_of`.
-        variance_px2: (N, 2) square pixels, of columns and rows, without the log's correlated error.
+        variance_px2: (N, 2) square pixels, of columns and rows, without what is correlated.
         by_place: (N, 2, 2) pixels a metre, derivatives of columns and rows by east and north.
-        correlated_m: Standard deviation of the correlated error.
-        correlation_time_s: Its correlation time.
+        noise: What is correlated.
         by_height: (N, 2) pixels a metre, derivatives of columns and rows by the camera's height.
-        heave_m: Standard deviation of that height.
     """
 
     def __init__(
@@ -182,29 +226,38 @@ class Whitening:
         blocks: list[Block],
         variance_px2: FloatArray,
         by_place: FloatArray,
-        correlated_m: float,
-        correlation_time_s: float,
+        noise: PixelNoise,
         by_height: FloatArray | None = None,
-        heave_m: float = 0.0,
     ) -> None:
         self._blocks = blocks
         self._sigma = np.sqrt(variance_px2)
         self._by_place = by_place
-        self._by_height = by_height if heave_m > 0.0 else None
-        self._heave_m = heave_m
+        self._by_height = by_height if noise.heave_m > 0.0 else None
+        self._noise = noise
         self.variance_px2 = variance_px2
-        self.kernels = [
-            correlated_m**2 * np.exp(-block.apart_s / correlation_time_s) for block in blocks
-        ]
         self.factors = []
-        for block, kernel in zip(blocks, self.kernels, strict=True):
-            covariance = np.kron(_whole(block, kernel), np.ones((2, 2))) * self.turned(block)
+        self.kernels = []
+        for block in blocks:
+            kernel = noise.correlated_m**2 * block.log_kernel(noise.correlation_time_s)
+            self.kernels.append(kernel)
+            whole = kernel + noise.offset_m**2
+            if block.gap_m2 is not None:
+                whole = whole + block.gap_m2
+            n = block.rows.size
+            covariance = self.turned(block).reshape(n, 2, n, 2) * whole[:, None, :, None]
+            lasting = self._lasting_kernel(block)
+            covariance[:, 0, :, 0] += noise.lasting_column_px**2 * lasting
+            covariance[:, 1, :, 1] += noise.lasting_row_px**2 * lasting
+            covariance = covariance.reshape(2 * n, 2 * n)
             if self._by_height is not None:
                 covariance += np.kron(self._heave_kernel(block), np.ones((2, 2))) * self._lifted(
                     block
                 )
             covariance[np.diag_indices_from(covariance)] += variance_px2[block.rows].ravel()
             self.factors.append(cholesky(covariance, lower=True, check_finite=False))
+
+    def _lasting_kernel(self, block: Block) -> FloatArray:
+        return np.asarray(np.exp(-block.apart_s / self._noise.lasting_time_s))
 
     def turned(self, block: Block) -> FloatArray:
         """(2 n, 2 n) covariance of the pixels for a shared place error of unit variance."""
@@ -218,7 +271,9 @@ class Whitening:
         return np.outer(flat, flat)
 
     def _heave_kernel(self, block: Block) -> FloatArray:
-        return np.asarray(self._heave_m**2 * np.exp(-block.apart_s / HEAVE_CORRELATION_TIME_S))
+        return np.asarray(
+            self._noise.heave_m**2 * np.exp(-block.apart_s / HEAVE_CORRELATION_TIME_S)
+        )
 
     def forward(self, values: FloatArray) -> FloatArray:
         """Whiten (N, 2, K) pixels."""
@@ -246,13 +301,19 @@ class Whitening:
             out[block.rows] = solved.reshape(own.shape)
         return np.asarray(out)
 
-    def correlated_error(self, weights: FloatArray) -> FloatArray:
-        """(N, 2) most probable correlated error, metres, of `backward`'s (N, 2) residuals."""
+    def correlated_error(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Most probable errors of the log, metres, of `backward`'s (N, 2) residuals.
+
+        Returns:
+            (N, 2) what drifts, and (N, 2) what is constant in a log.
+        """
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
-        out = np.zeros_like(pulled)
+        drift, offset = np.zeros_like(pulled), np.zeros_like(pulled)
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
-            out[block.rows] = _whole(block, kernel) @ pulled[block.rows]
-        return np.asarray(out)
+            own = kernel if block.gap_m2 is None else kernel + block.gap_m2
+            drift[block.rows] = own @ pulled[block.rows]
+            offset[block.rows] = self._noise.offset_m**2 * pulled[block.rows].sum(axis=0)
+        return drift, offset
 
     def log_determinant(self) -> float:
         """Half the logarithm of the determinant of the covariance."""
@@ -263,42 +324,63 @@ class Whitening:
         return value + sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
 
     def gradient(
-        self,
-        weights: FloatArray,
-        solved: FloatArray,
-        covariance: FloatArray,
-        correlation_time_s: float,
-    ) -> tuple[FloatArray, float, float, float]:
+        self, weights: FloatArray, solved: FloatArray, covariance: FloatArray
+    ) -> tuple[FloatArray, dict[str, float]]:
         """Gradient of the negative log-likelihood by the white and the correlated noise.
 
         Args:
             weights: (N, 2) inverse covariance times the residuals that the parameters leave.
             solved: (N, 2, P) inverse covariance times the derivatives by the parameters.
             covariance: (P, P) of the parameters.
-            correlation_time_s: Correlation time of the correlated error.
 
         Returns:
-            (N, 2) by each variance; by the logarithms of ``correlated_m``, ``correlation_time_s``
-            and ``heave_m``.
+            (N, 2) by each variance; by the logarithms of the parts of the noise that are correlated
+            and of their times, by their names.
         """
+        noise = self._noise
         by_variance = 1.0 / self.variance_px2 - np.einsum(
             "nik,kl,nil->ni", solved, covariance, solved, optimize=True
         )
         by_variance -= weights**2
-        by_size, by_length, by_heave = 0.0, 0.0, 0.0
+        out = dict.fromkeys(
+            (
+                "correlated_m",
+                "correlation_time_s",
+                "heave_m",
+                "offset_m",
+                "lasting_row_px",
+                "lasting_column_px",
+                "lasting_time_s",
+            ),
+            0.0,
+        )
         for block, kernel, factor in zip(self._blocks, self.kernels, self.factors, strict=True):
             inverse, _ = lapack.dpotri(factor, lower=True)
             inverse += np.tril(inverse, -1).T
-            part = solved[block.rows].reshape(2 * block.rows.size, -1)
+            n = block.rows.size
+            part = solved[block.rows].reshape(2 * n, -1)
             own = weights[block.rows].ravel()
             inner = inverse - part @ covariance @ part.T - np.outer(own, own)
             by_variance[block.rows] = np.diag(inner).reshape(-1, 2)
-            n = block.rows.size
+            four = inner.reshape(n, 2, n, 2)
             if self._by_height is not None:
                 lifted = (inner * self._lifted(block)).reshape(n, 2, n, 2).sum(axis=(1, 3))
-                by_heave += float(np.vdot(lifted, self._heave_kernel(block)))
-            inner *= self.turned(block)
-            together = inner.reshape(n, 2, n, 2).sum(axis=(1, 3)) * kernel
-            by_size += float(together.sum())
-            by_length += 0.5 * float(np.vdot(together, block.apart_s)) / correlation_time_s
-        return 0.5 * by_variance, by_size, by_length, by_heave
+                out["heave_m"] += float(np.vdot(lifted, self._heave_kernel(block)))
+            lasting = self._lasting_kernel(block)
+            slope = lasting * (block.apart_s / noise.lasting_time_s)
+            column, row = four[:, 0, :, 0], four[:, 1, :, 1]
+            columns, rows = noise.lasting_column_px**2, noise.lasting_row_px**2
+            out["lasting_column_px"] += columns * float(np.vdot(column, lasting))
+            out["lasting_row_px"] += rows * float(np.vdot(row, lasting))
+            out["lasting_time_s"] += 0.5 * float(np.vdot(columns * column + rows * row, slope))
+            together = np.einsum(
+                "iajb,iajb->ij", four, self.turned(block).reshape(n, 2, n, 2), optimize=True
+            )
+            out["correlated_m"] += float(np.vdot(together, kernel))
+            out["correlation_time_s"] += (
+                0.5
+                * noise.correlated_m**2
+                * float(np.vdot(together, block.log_kernel_slope(noise.correlation_time_s)))
+            )
+            out["offset_m"] += noise.offset_m**2 * float(together.sum())
+        return 0.5 * by_variance, out

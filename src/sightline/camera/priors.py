@@ -166,6 +166,10 @@ class PixelNoise:
     correlation_time_s: float = 20.0
     heave_m: float = 0.0
     middle_m: float = 0.0
+    offset_m: float = 0.0
+    lasting_row_px: float = 0.0
+    lasting_column_px: float = 0.0
+    lasting_time_s: float = 2.0
 
     def variances_px2(self, squared_pixels_per_metre: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Variances of column and row, square pixels, each (N,), without the place's.
@@ -190,4 +194,8 @@ class PixelNoise:
             self.correlation_time_s,
             self.heave_m * factor,
             self.middle_m,
+            self.offset_m * factor,
+            self.lasting_row_px * factor,
+            self.lasting_column_px * factor,
+            self.lasting_time_s,
         )
