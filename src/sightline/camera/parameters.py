@@ -24,14 +24,31 @@ PARAMETERS = (
     "k2",
     "east_m",
     "north_m",
+    "principal_dx_px",
+    "principal_dy_px",
+    "curvature",
 )
 """The unknowns of a camera, in the order of every parameter vector and covariance.
 
 A parameter vector holds them as the fit sees them: the logarithms of height and focal length, and
-angles in radians.
+angles in radians. The principal point counts from the middle of the image, and the curvature of the
+sight line over the earth is a share of that of the earth itself.
 """
 
-LOG_HEIGHT, PITCH, ROLL, HEADING, LOG_FOCAL, K1, K2, EAST, NORTH = range(len(PARAMETERS))
+(
+    LOG_HEIGHT,
+    PITCH,
+    ROLL,
+    HEADING,
+    LOG_FOCAL,
+    K1,
+    K2,
+    EAST,
+    NORTH,
+    PRINCIPAL_DX,
+    PRINCIPAL_DY,
+    CURVATURE,
+) = range(len(PARAMETERS))
 """Slots of the camera."""
 
 POSITION = slice(EAST, NORTH + 1)
@@ -39,6 +56,9 @@ POSITION = slice(EAST, NORTH + 1)
 
 CAMERA = slice(0, len(PARAMETERS))
 """Slots of the whole camera, in the order of `PARAMETERS`."""
+
+PRINCIPAL = slice(PRINCIPAL_DX, PRINCIPAL_DY + 1)
+"""Slots of the principal point."""
 
 TARGET_PARAMETERS = ("half_length_m", "half_beam_m")
 """What is unknown of the target: how far its hull reaches from where its log says that it is.
@@ -123,7 +143,7 @@ class ParameterLayout:
 
 
 def camera_vector(by_slot: Mapping[int, float]) -> FloatArray:
-    """(9,) float64 camera parameters by their slots; 0 where none is given."""
+    """(12,) float64 camera parameters by their slots; 0 where none is given."""
     out = np.zeros(len(PARAMETERS))
     for slot, value in by_slot.items():
         out[slot] = value

@@ -3,11 +3,13 @@
 The camera stands ``height_m`` above the water or the road, at ``(east_m, north_m)`` in the local
 plane. ``heading_deg`` is the bearing of its optical axis, clockwise from north; ``pitch_deg`` is
 how far the axis looks below the horizontal; ``roll_deg`` is positive where the right end of the
-horizon lies lower in the image. Pixels are square, the principal point is the middle of the image,
-and the lens has the radial distortion of Brown and Conrady, forward as in OpenCV:
+horizon lies lower in the image. Pixels are square, the principal point lies near the middle of the
+image, and the lens has the radial distortion of Brown and Conrady, forward as in OpenCV:
 ``x_d = x (1 + k1 r² + k2 r⁴)`` with ``r² = x² + y²`` on the normalised image plane.
 
-The curvature of the earth is left out: over 2 km it is 0.3 m.
+The earth falls away from the plane by ``d² c / 2 R`` at a distance d: by 0.3 m over 2 km, and by
+15 m over 15. R is the mean radius of the earth; refraction bends sight lines along with the earth,
+so that the curvature c which is left is a share of the earth's own, usually 6/7 of it.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sightline.camera.parameters import (
+    CURVATURE,
     EAST,
     HEADING,
     K1,
@@ -31,6 +34,9 @@ from sightline.camera.parameters import (
     NORTH,
     PARAMETERS,
     PITCH,
+    PRINCIPAL,
+    PRINCIPAL_DX,
+    PRINCIPAL_DY,
     ROLL,
     camera_vector,
 )
@@ -39,6 +45,9 @@ from sightline.types import FloatArray
 
 BY_BEYOND, BY_ROW, BY_ABOVE, BY_COLUMN = range(len(PARAMETERS), len(PARAMETERS) + 4)
 """Where `Located.derivatives` holds those that are not by a parameter of the camera."""
+
+EARTH_RADIUS_M = 6_371_000.0
+"""Mean radius of the earth, metres."""
 
 Numbers = Any
 """(N,) float64, or one number."""
@@ -63,6 +72,10 @@ class Camera:
         east_m: Of the camera in the local plane, metres.
         north_m: Of the camera in the local plane, metres.
         image_size_px: Width and height of the image.
+        principal_dx_px: Of the principal point, to the right of the middle of the image, pixels.
+        principal_dy_px: Of the principal point, below the middle of the image, pixels.
+        curvature: Of the water or the ground along sight lines, as a share of the earth's; 0 is
+            a plane.
 
     Raises:
         InputError: Height, focal length or image size is not positive, or a value is not finite.
@@ -78,9 +91,14 @@ class Camera:
     east_m: float
     north_m: float
     image_size_px: tuple[int, int]
+    principal_dx_px: float = 0.0
+    principal_dy_px: float = 0.0
+    curvature: float = 0.0
 
     def __post_init__(self) -> None:
-        for column in fields(self)[:-1]:
+        for column in fields(self):
+            if column.name == "image_size_px":
+                continue
             if not np.isfinite(getattr(self, column.name)):
                 raise InputError(f"camera: {column.name} is not a number")
         if not (self.height_m > 0.0 and self.focal_px > 0.0 and min(self.image_size_px) > 0):
@@ -88,7 +106,7 @@ class Camera:
 
     @classmethod
     def from_vector(cls, vector: FloatArray, image_size_px: tuple[int, int]) -> Camera:
-        """The camera of a parameter vector, (9,) float64 in the order of `PARAMETERS`."""
+        """The camera of a parameter vector, (12,) float64 in the order of `PARAMETERS`."""
         return cls(
             height_m=float(np.exp(vector[LOG_HEIGHT])),
             pitch_deg=float(np.degrees(vector[PITCH])),
@@ -100,10 +118,13 @@ class Camera:
             east_m=float(vector[EAST]),
             north_m=float(vector[NORTH]),
             image_size_px=image_size_px,
+            principal_dx_px=float(vector[PRINCIPAL_DX]),
+            principal_dy_px=float(vector[PRINCIPAL_DY]),
+            curvature=float(vector[CURVATURE]),
         )
 
     def to_vector(self) -> FloatArray:
-        """The parameter vector, (9,) float64 in the order of `PARAMETERS`."""
+        """The parameter vector, (12,) float64 in the order of `PARAMETERS`."""
         return camera_vector(
             {
                 LOG_HEIGHT: np.log(self.height_m),
@@ -115,6 +136,9 @@ class Camera:
                 K2: self.k2,
                 EAST: self.east_m,
                 NORTH: self.north_m,
+                PRINCIPAL_DX: self.principal_dx_px,
+                PRINCIPAL_DY: self.principal_dy_px,
+                CURVATURE: self.curvature,
             }
         )
 
@@ -170,12 +194,16 @@ class Camera:
         """
         pixel = np.atleast_2d(np.asarray(pixel_px, dtype=float))
         x, y = self._undistorted(pixel[:, 0], pixel[:, 1])
-        rotation = self.rotation
-        down = -(rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2])
+        down = self._down(x, y)
+        east, north = self._level(x, y)
+        height = self.height_m - np.asarray(above_m)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            reach = np.where(down > 0.0, (self.height_m - np.asarray(above_m)) / down, np.nan)
-        east = reach * (rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0])
-        north = reach * (rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1])
+            # A ray meets a ground that falls away where it sinks by its height and by that.
+            slope = np.sqrt(
+                down * down - 2.0 * self._bend_per_m * height * (east * east + north * north)
+            )
+            reach = np.where(down > 0.0, 2.0 * height / (down + slope), np.nan)
+        east, north = reach * east, reach * north
         return self.east_m + east, self.north_m + north
 
     def rays(self, pixel_px: ArrayLike) -> FloatArray:
@@ -200,14 +228,14 @@ class Camera:
             square = x * x + y * y
         seen = (z > _NEAREST) & (square < self.largest_radius**2)
         stretch = self.focal_px * (1.0 + square * (self.k1 + square * self.k2))
-        middle = 0.5 * np.asarray(self.image_size_px)
+        middle = np.asarray(self._principal_px)
         return np.where(seen[:, None], middle + stretch[:, None] * np.stack([x, y], axis=1), np.nan)
 
     def _undistorted(self, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Undistorted normalised coordinates of pixels, (N,); NaN beyond the fold."""
-        width, height = self.image_size_px
-        x = (x_px - 0.5 * width) / self.focal_px
-        y = (y_px - 0.5 * height) / self.focal_px
+        middle_x, middle_y = self._principal_px
+        x = (x_px - middle_x) / self.focal_px
+        y = (y_px - middle_y) / self.focal_px
         distorted = np.sqrt(x * x + y * y)
         limit, top = self.largest_radius, self._largest_distorted
         radius = np.minimum(distorted, limit)
@@ -230,8 +258,9 @@ class Camera:
 
     def _undistorted_one(self, x_px: float, y_px: float) -> tuple[float, float]:
         """As `_undistorted`, for one pixel."""
-        x = (x_px - 0.5 * self.image_size_px[0]) / self.focal_px
-        y = (y_px - 0.5 * self.image_size_px[1]) / self.focal_px
+        middle_x, middle_y = self._principal_px
+        x = (x_px - middle_x) / self.focal_px
+        y = (y_px - middle_y) / self.focal_px
         distorted = math.sqrt(x * x + y * y)
         limit, top = self.largest_radius, self._largest_distorted
         radius = min(distorted, limit)
@@ -271,6 +300,17 @@ class Camera:
         return high
 
     @cached_property
+    def _principal_px(self) -> tuple[float, float]:
+        """Column and row of the principal point."""
+        width, height = self.image_size_px
+        return 0.5 * width + self.principal_dx_px, 0.5 * height + self.principal_dy_px
+
+    @cached_property
+    def _bend_per_m(self) -> float:
+        """Curvature of the ground, the inverse of its effective radius in metres."""
+        return self.curvature / EARTH_RADIUS_M
+
+    @cached_property
     def _largest_distorted(self) -> float:
         """The distorted radius of `largest_radius`."""
         limit = self.largest_radius
@@ -303,9 +343,9 @@ class Camera:
         """Rows of the horizon at given columns, (N,) float64; NaN where it cannot be seen."""
         columns = np.atleast_1d(np.asarray(x_px, dtype=float))
         bearings = np.radians(self.heading_deg) + np.linspace(-1.4, 1.4, 721)
-        directions = self.rotation @ np.stack(
-            [np.sin(bearings), np.cos(bearings), np.zeros_like(bearings)]
-        )
+        # The sea falls away: its horizon dips below the level of the camera.
+        dip = np.full_like(bearings, -np.sqrt(2.0 * self._bend_per_m * self.height_m))
+        directions = self.rotation @ np.stack([np.sin(bearings), np.cos(bearings), dip])
         ahead = directions[2] > 0.05
         x, y = (
             directions[0, ahead] / directions[2, ahead],
@@ -314,8 +354,8 @@ class Camera:
         square = x * x + y * y
         valid = square < self.largest_radius**2
         stretch = self.focal_px * (1.0 + square * (self.k1 + square * self.k2))[valid]
-        at = 0.5 * self.image_size_px[0] + stretch * x[valid]
-        row = 0.5 * self.image_size_px[1] + stretch * y[valid]
+        middle_x, middle_y = self._principal_px
+        at, row = middle_x + stretch * x[valid], middle_y + stretch * y[valid]
         return np.asarray(np.interp(columns, at, row, left=np.nan, right=np.nan))
 
 
@@ -343,15 +383,15 @@ def _project(
     offset_east = np.asarray(east_m, dtype=float) - vector[EAST]
     offset_north = np.asarray(north_m, dtype=float) - vector[NORTH]
     height = np.exp(vector[LOG_HEIGHT])
-    offset_up = np.broadcast_to(np.asarray(above_m) - height, offset_east.shape)
+    fallen = vector[CURVATURE] * (0.5 / EARTH_RADIUS_M) * (offset_east**2 + offset_north**2)
+    offset_up = np.broadcast_to(np.asarray(above_m) - height, offset_east.shape) - fallen
     camera = rotation @ np.stack([offset_east, offset_north, offset_up])
     depth = np.maximum(camera[2], _NEAREST)
     x, y = camera[0] / depth, camera[1] / depth
     square = x * x + y * y
     stretch = np.exp(vector[LOG_FOCAL]) * (1.0 + square * (vector[K1] + square * vector[K2]))
-    pixel = np.stack(
-        [0.5 * image_size_px[0] + stretch * x, 0.5 * image_size_px[1] + stretch * y], axis=-1
-    )
+    middle = 0.5 * np.asarray(image_size_px) + vector[PRINCIPAL]
+    pixel = np.stack([middle[0] + stretch * x, middle[1] + stretch * y], axis=-1)
     return pixel, camera[2], square
 
 
@@ -365,14 +405,14 @@ def project_with_jacobian(
     """Pixels and their Jacobian, for the fit and for the propagation of uncertainty.
 
     Args:
-        vector: (9,) parameter vector.
+        vector: (12,) parameter vector.
         image_size_px: Width and height.
         east_m: (N,) metres.
         north_m: (N,) metres.
         above_m: (N,) or one value, metres.
 
     Returns:
-        Pixels (N, 2); their derivatives by the parameters (N, 2, 9); and by the point's east,
+        Pixels (N, 2); their derivatives by the parameters (N, 2, 12); and by the point's east,
         north and up (N, 2, 3), pixels a metre.
     """
     rotation = rotation_matrix(vector)
@@ -382,7 +422,9 @@ def project_with_jacobian(
     offsets = np.empty((3, n))
     offsets[0] = east_m - vector[EAST]
     offsets[1] = north_m - vector[NORTH]
-    offsets[2] = np.asarray(above_m) - height
+    per_metre = vector[CURVATURE] / EARTH_RADIUS_M
+    away = offsets[0] ** 2 + offsets[1] ** 2
+    offsets[2] = np.asarray(above_m) - height - 0.5 * per_metre * away
     camera = rotation @ offsets
     depth = np.maximum(camera[2], _NEAREST)
     inverse = 1.0 / depth
@@ -391,8 +433,9 @@ def project_with_jacobian(
     stretch = 1.0 + square * (k1 + square * k2)
     slope = 2.0 * (k1 + 2.0 * k2 * square)
     pixel = np.empty((n, 2))
-    pixel[:, 0] = 0.5 * image_size_px[0] + focal * stretch * x
-    pixel[:, 1] = 0.5 * image_size_px[1] + focal * stretch * y
+    middle = 0.5 * np.asarray(image_size_px) + vector[PRINCIPAL]
+    pixel[:, 0] = middle[0] + focal * stretch * x
+    pixel[:, 1] = middle[1] + focal * stretch * y
 
     # d pixel / d (x, y), then d (x, y) / d camera coordinates.
     xx = focal * (stretch + slope * x * x)
@@ -407,6 +450,10 @@ def project_with_jacobian(
 
     by_parameter = np.empty((n, 2, len(PARAMETERS)))
     by_parameter[:, :, LOG_HEIGHT] = -height * by_point[:, :, 2]
+    by_parameter[:, :, CURVATURE] = by_point[:, :, 2] * (-0.5 / EARTH_RADIUS_M * away)[:, None]
+    by_parameter[:, :, PRINCIPAL] = np.eye(2)
+    # With the distance from the camera the ground falls away.
+    by_point[:, :, :2] -= by_point[:, :, 2:] * (per_metre * offsets[:2].T)[:, None, :]
     # Turning the camera turns the point about it: d right = 0, d down = -forward and so on.
     sin_r, cos_r = np.sin(vector[ROLL]), np.cos(vector[ROLL])
     down = sin_r * camera[0] * -1.0 + cos_r * camera[1]
@@ -440,7 +487,7 @@ class Located:
         distance_m: (N,) from the camera along the plane; NaN where there is no place.
         sine: (N,) of the bearing from the camera, clockwise from north.
         cosine: (N,) of the bearing.
-        derivatives: (13, 2, N) metres along and across the line of sight (across is positive
+        derivatives: (16, 2, N) metres along and across the line of sight (across is positive
             clockwise) by each of `PARAMETERS`, by the pixel's row (`BY_ROW`), by the height of the
             plane (`BY_ABOVE`), by the pixel's column (`BY_COLUMN`) and by ``beyond_m``
             (`BY_BEYOND`).
@@ -486,7 +533,7 @@ def locate_one(
             return None
         out = np.empty((len(PARAMETERS) + 4, 2))
         return *_derive(camera, x, y, down, above_m, beyond_m, math.sqrt, out), out
-    except ZeroDivisionError:
+    except (ValueError, ZeroDivisionError):
         return None
 
 
@@ -510,24 +557,31 @@ def _derive(
         above_m: As `locate_with_jacobian` has it.
         beyond_m: As `locate_with_jacobian` has it.
         sqrt: Square root of the kind of number.
-        out: (13, 2, N) or (13, 2).
+        out: (16, 2, N) or (16, 2).
     """
     (r00, r01, r02), (r10, r11, r12), _ = camera._rotation_rows
     east, north = camera._level(x, y)
     k1, k2 = camera.k1, camera.k2
     height = camera.height_m - above_m
-    level = sqrt(east * east + north * north)
+    square = east * east + north * north
+    level = sqrt(square)
     sine, cosine = east / level, north / level
-    reach = height / down
+    # How fast the ray sinks towards the ground where it meets it; on a plane that is `down`.
+    slope = sqrt(down * down - 2.0 * camera._bend_per_m * height * square)
+    reach = 2.0 * height / (down + slope)
     distance = reach * level
 
-    out[LOG_HEIGHT, 0], out[LOG_HEIGHT, 1] = distance * (camera.height_m / height), 0.0
-    out[BY_ABOVE, 0], out[BY_ABOVE, 1] = distance * (-1.0 / height), 0.0
+    further = distance / slope
+    per_height = level / slope
+    out[LOG_HEIGHT, 0], out[LOG_HEIGHT, 1] = per_height * camera.height_m, 0.0
+    out[BY_ABOVE, 0], out[BY_ABOVE, 1] = -per_height, 0.0
     out[BY_BEYOND, 0], out[BY_BEYOND, 1] = 1.0, 0.0
+    out[CURVATURE, 0] = distance * distance * per_height * (0.5 / EARTH_RADIUS_M)
+    out[CURVATURE, 1] = 0.0
     # Along and across by the normalised coordinates: the ray turns, and it reaches further.
-    further = distance / down
-    x_along = reach * (r00 * sine + r01 * cosine) + r02 * further
-    y_along = reach * (r10 * sine + r11 * cosine) + r12 * further
+    turned = reach * (down / slope)
+    x_along = turned * (r00 * sine + r01 * cosine) + r02 * further
+    y_along = turned * (r10 * sine + r11 * cosine) + r12 * further
     total = distance + beyond_m
     aside = total / level
     x_across = aside * (r00 * cosine - r01 * sine)
@@ -538,7 +592,7 @@ def _derive(
     raised = sin_r * x - cos_r * y
     ahead = cos_p * raised - sin_p
     toward = sin_h * sine + cos_h * cosine
-    out[PITCH, 0] = reach * ahead * toward - further * (sin_p * raised + cos_p)
+    out[PITCH, 0] = turned * ahead * toward - further * (sin_p * raised + cos_p)
     out[PITCH, 1] = aside * ahead * (sin_h * cosine - cos_h * sine)
     # Roll moves (x, y) by (y, -x).
     out[ROLL, 0] = y * x_along - x * y_along
@@ -547,18 +601,20 @@ def _derive(
     # Focal length and distortion move a ray radially in the image.
     square = x * x + y * y
     stretch = 1.0 + square * (k1 + square * k2)
-    slope = 2.0 * (k1 + 2.0 * k2 * square)
-    radial = -1.0 / (stretch + slope * square)
+    lens_slope = 2.0 * (k1 + 2.0 * k2 * square)
+    radial = -1.0 / (stretch + lens_slope * square)
     out[K1, 0] = (x * x_along + y * y_along) * radial
     out[K1, 1] = (x * x_across + y * y_across) * radial
     np.multiply(out[K1], stretch, out=out[LOG_FOCAL])
     # By the pixel: the inverse of the lens's own derivative.
     per_pixel = 1.0 / (camera.focal_px * stretch)
-    bent = slope * per_pixel
+    bent = lens_slope * per_pixel
     bent_x, bent_y = bent * x, bent * y
     for i, (by_x, by_y) in enumerate(((x_along, y_along), (x_across, y_across))):
         out[BY_COLUMN, i] = per_pixel * by_x + bent_x * out[K1, i]
         out[BY_ROW, i] = per_pixel * by_y + bent_y * out[K1, i]
+        np.negative(out[BY_COLUMN, i], out=out[PRINCIPAL_DX, i, ...])
+        np.negative(out[BY_ROW, i], out=out[PRINCIPAL_DY, i, ...])
     out[K1] *= square
     np.multiply(out[K1], square, out=out[K2])
     out[EAST, 0], out[EAST, 1] = sine, cosine

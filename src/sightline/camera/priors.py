@@ -8,6 +8,7 @@ import numpy as np
 
 from sightline.camera.parameters import (
     CAMERA,
+    CURVATURE,
     HEADING,
     K1,
     K2,
@@ -15,6 +16,8 @@ from sightline.camera.parameters import (
     LOG_HEIGHT,
     PITCH,
     POSITION,
+    PRINCIPAL_DX,
+    PRINCIPAL_DY,
     ROLL,
     TARGET,
     ParameterLayout,
@@ -53,6 +56,9 @@ class CameraPrior:
         k2_sigma: About zero.
         half_length_m: Mean and standard deviation; of the target.
         half_beam_m: Mean and standard deviation; of the target.
+        principal_sigma_widths: Of the principal point about the middle of the image, image widths.
+        curvature: Mean and standard deviation of the curvature along sight lines, as a share of the
+            earth's: refraction over warm or cold water may take all of it, or none.
         position_sigma_m: Of the camera about the place that the scene states.
         bias_px: Mean of each source's lower edge, pixels; negative where boxes end too high.
         bias_px_sigma: Its standard deviation.
@@ -65,16 +71,18 @@ class CameraPrior:
     """
 
     height_m: float = 5.0
-    log_height_sigma: float = 0.7
-    pitch_deg: tuple[float, float] = (5.0, 15.0)
+    log_height_sigma: float = 1.2
+    pitch_deg: tuple[float, float] = (5.0, 20.0)
     roll_deg: tuple[float, float] = (0.0, 3.0)
-    focal_widths: float = 0.8
-    log_focal_sigma: float = 0.3
+    focal_widths: float = 0.9
+    log_focal_sigma: float = 0.9
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
     half_length_m: tuple[float, float] = (0.0, 2.0)
     half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
+    principal_sigma_widths: float = 0.02
+    curvature: tuple[float, float] = (6.0 / 7.0, 0.3)
     bias_px: float = 0.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3
@@ -103,6 +111,7 @@ class CameraPrior:
                 PITCH: np.radians(self.pitch_deg[0]),
                 ROLL: np.radians(self.roll_deg[0]),
                 LOG_FOCAL: np.log(self.focal_widths * image_size_px[0]),
+                CURVATURE: self.curvature[0],
             }
         )
         sigma[CAMERA] = camera_vector(
@@ -114,6 +123,9 @@ class CameraPrior:
                 LOG_FOCAL: self.log_focal_sigma,
                 K1: self.k1_sigma,
                 K2: self.k2_sigma,
+                PRINCIPAL_DX: self.principal_sigma_widths * image_size_px[0],
+                PRINCIPAL_DY: self.principal_sigma_widths * image_size_px[0],
+                CURVATURE: self.curvature[1],
             }
         )
         sigma[POSITION] = self.position_sigma_m if position_known else np.inf
