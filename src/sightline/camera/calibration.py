@@ -81,12 +81,13 @@ _NOISE_PRIOR = {
     "row_m": (1.0,),
     "place_m": (1.0,),
     "correlated_m": (1.0,),
-    "correlation_time_s": (20.0, 1.0),
+    "correlation_time_s": (float(__import__("os").environ.get("TL","20")), float(__import__("os").environ.get("TLW","0.5"))),
     "heave_m": (0.15, 1.0),
     "offset_m": (1.0,),
+    "lasting_m": (1.0,),
     "lasting_row_px": (1.0,),
     "lasting_column_px": (1.0,),
-    "lasting_time_s": (2.0, 1.5),
+    "lasting_time_s": (2.0, float(__import__("os").environ.get("TBW","1.0"))),
 }
 # A hull's beam over its length, and by what share of itself a length read off boxes may be wrong:
 # off tight boxes of rendered hulls it comes out 4 to 11 % too short, and people leave margins.
@@ -685,6 +686,7 @@ class _Problem:
                 "correlated_m",
                 "correlation_time_s",
                 "offset_m",
+                "lasting_m",
                 "lasting_row_px",
                 "lasting_column_px",
                 "lasting_time_s",

@@ -240,12 +240,12 @@ class Whitening:
         for block in blocks:
             kernel = noise.correlated_m**2 * block.log_kernel(noise.correlation_time_s)
             self.kernels.append(kernel)
-            whole = kernel + noise.offset_m**2
+            lasting = self._lasting_kernel(block)
+            whole = kernel + noise.offset_m**2 + noise.lasting_m**2 * lasting
             if block.gap_m2 is not None:
                 whole = whole + block.gap_m2
             n = block.rows.size
             covariance = self.turned(block).reshape(n, 2, n, 2) * whole[:, None, :, None]
-            lasting = self._lasting_kernel(block)
             covariance[:, 0, :, 0] += noise.lasting_column_px**2 * lasting
             covariance[:, 1, :, 1] += noise.lasting_row_px**2 * lasting
             covariance = covariance.reshape(2 * n, 2 * n)
@@ -350,6 +350,7 @@ class Whitening:
                 "offset_m",
                 "lasting_row_px",
                 "lasting_column_px",
+                "lasting_m",
                 "lasting_time_s",
             ),
             0.0,
@@ -382,5 +383,8 @@ class Whitening:
                 * noise.correlated_m**2
                 * float(np.vdot(together, block.log_kernel_slope(noise.correlation_time_s)))
             )
+            body = noise.lasting_m**2
+            out["lasting_m"] += body * float(np.vdot(together, lasting))
+            out["lasting_time_s"] += 0.5 * body * float(np.vdot(together, slope))
             out["offset_m"] += noise.offset_m**2 * float(together.sum())
         return 0.5 * by_variance, out

@@ -179,6 +179,7 @@ class PixelNoise:
     heave_m: float = 0.0
     middle_m: float = 0.0
     offset_m: float = 0.0
+    lasting_m: float = 0.0
     lasting_row_px: float = 0.0
     lasting_column_px: float = 0.0
     lasting_time_s: float = 2.0
@@ -207,6 +208,7 @@ class PixelNoise:
             self.heave_m * factor,
             self.middle_m,
             self.offset_m * factor,
+            self.lasting_m * factor,
             self.lasting_row_px * factor,
             self.lasting_column_px * factor,
             self.lasting_time_s,
