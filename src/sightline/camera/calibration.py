@@ -62,6 +62,7 @@ _ROUNDS = int(__import__('os').environ.get('ROUNDS', '6'))
 _RIGHT_S = 1.5
 # Of a standard deviation: a step so small ends the search.
 _ENOUGH = 0.01
+PER = bool(__import__("os").environ.get("PER"))
 _MOST_STEPS = 30
 # Ends as near as this to one another, as a share of a prior's width, are one.
 _SAME_END = 0.05
@@ -74,6 +75,7 @@ _NAMES = (
     "row_px row_m column_px place_m correlated_m correlation_time_s heave_m offset_m "
     "lasting_row_px lasting_column_px lasting_time_s"
 ).split()
+_AVOID = __import__("os").environ.get("AVOID", "").split(",")
 # By part: logarithmic (median, width) or exponential (mean,).
 _NOISE_PRIOR = {
     "row_px": (1.0, 0.7),
@@ -326,6 +328,7 @@ class _Problem:
         self.sightings = sightings
         self.image_size_px = image_size_px
         self.n_sources = n_sources
+        self.half_m = np.ones(len(sightings))
         self.prior = prior
         self.position_known = position_known
         moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
@@ -409,7 +412,7 @@ class _Problem:
         out: FloatArray = np.stack([np.abs(cosine), np.sqrt(np.maximum(1.0 - cosine**2, 0.0))], 1)
         out[speed < _UNDER_WAY_MPS] = ANY_ASPECT
         out[~self.boxes] = 0.0
-        return out
+        return out * self.half_m[:, None]
 
     def expect_hull(self, vector: FloatArray) -> None:
         """Set the prior of the hull's dimensions from the widths of the boxes."""
@@ -417,12 +420,23 @@ class _Problem:
         rows = np.flatnonzero(np.isfinite(s.width_px))
         if rows.size < 3:
             return
+        if not PER:
+            aspect = self.aspect(vector)[rows]
+            pixels_per_metre = self.pixels_per_metre(vector)[rows]
+            seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
+            half = float(np.median(s.width_px[rows] / pixels_per_metre / seen))
+            self.mean[TARGET] = half, _BEAM_SHARE * half
+            self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
+            return
+        self.half_m = np.ones(len(s))
         aspect = self.aspect(vector)[rows]
         pixels_per_metre = self.pixels_per_metre(vector)[rows]
         seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
-        half = float(np.median(s.width_px[rows] / pixels_per_metre / seen))
-        self.mean[TARGET] = half, _BEAM_SHARE * half
-        self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
+        each = s.width_px[rows] / pixels_per_metre / seen
+        for one in np.unique(s.log[rows]):
+            self.half_m[rows[s.log[rows] == one]] = np.median(each[s.log[rows] == one])
+        self.mean[TARGET] = 1.0, _BEAM_SHARE
+        self.sigma[TARGET] = _SIZE_SHARE, _SIZE_SHARE * _BEAM_SHARE
 
     def project(
         self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
@@ -729,6 +743,9 @@ class _Problem:
                 else:
                     value += float(np.exp(t[i])) / prior[0]
                     gradient[i] += np.exp(t[i]) / prior[0]
+                    if name in _AVOID:
+                        value -= t[i]
+                        gradient[i] -= 1.0
             return value, gradient
 
         bounds, at = [], []
