@@ -45,6 +45,7 @@ from sightline.camera.priors import (
     PixelNoise,
     SourcePrior,
 )
+from sightline.camera.target_sizes import BEAM_SHARE, TargetSizes
 from sightline.clock_offset import USUAL_SIGMA_S
 from sightline.errors import FitError
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -62,7 +63,6 @@ _ROUNDS = int(__import__('os').environ.get('ROUNDS', '6'))
 _RIGHT_S = 1.5
 # Of a standard deviation: a step so small ends the search.
 _ENOUGH = 0.01
-PER = bool(__import__("os").environ.get("PER"))
 _MOST_STEPS = 30
 # Ends as near as this to one another, as a share of a prior's width, are one.
 _SAME_END = 0.05
@@ -70,6 +70,7 @@ _SAME_END = 0.05
 _MOST_PULLED = 2.0
 # A receiver stands somewhere on its boat.
 _MIDDLE_SIGMA_M = 1.0
+_MIDDLE_SHARE = float(__import__("os").environ.get("MID","0.4"))
 _SHARE = float(__import__("os").environ.get("SHARE", "0.5"))
 _NAMES = (
     "row_px row_m column_px place_m correlated_m correlation_time_s heave_m offset_m "
@@ -91,9 +92,8 @@ _NOISE_PRIOR = {
     "lasting_column_px": (1.0,),
     "lasting_time_s": (2.0, float(__import__("os").environ.get("TBW","1.0"))),
 }
-# A hull's beam over its length, and by what share of itself a length read off boxes may be wrong:
+# By what share of itself a length that is read off boxes may be wrong:
 # off tight boxes of rendered hulls it comes out 4 to 11 % too short, and people leave margins.
-_BEAM_SHARE = 0.35
 _SIZE_SHARE = 0.25
 
 
@@ -124,6 +124,7 @@ class CameraFit:
         starts_agreeing: How many starts ended at this camera.
         starts: How many there were.
         typical_range_m: Median distance of the correspondences from the camera.
+        sizes: Of the targets; None where no boxes tell them.
     """
 
     vector: FloatArray
@@ -139,6 +140,7 @@ class CameraFit:
     starts_agreeing: int
     starts: int
     typical_range_m: float
+    sizes: TargetSizes | None = None
 
     @property
     def layout(self) -> ParameterLayout:
@@ -328,7 +330,10 @@ class _Problem:
         self.sightings = sightings
         self.image_size_px = image_size_px
         self.n_sources = n_sources
-        self.half_m = np.ones(len(sightings))
+        # Of each box's target, over that of a typical one.
+        self.relative_size = np.ones(len(sightings))
+        self.sizes: TargetSizes | None = None
+        self.middle_sigma_m = _MIDDLE_SIGMA_M
         self.prior = prior
         self.position_known = position_known
         moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
@@ -403,7 +408,11 @@ class _Problem:
         return out
 
     def aspect(self, vector: FloatArray) -> FloatArray:
-        """(N, 2) shares of the half length and the half beam along the line of sight."""
+        """(N, 2) shares of a typical half length and half beam along the line of sight."""
+        return self.directions(vector) * self.relative_size[:, None]
+
+    def directions(self, vector: FloatArray) -> FloatArray:
+        """(N, 2) shares of its own half length and half beam along the line of sight."""
         s = self.sightings
         east, north = s.east_m - vector[EAST], s.north_m - vector[NORTH]
         speed = np.hypot(*s.velocity_mps.T)
@@ -412,7 +421,7 @@ class _Problem:
         out: FloatArray = np.stack([np.abs(cosine), np.sqrt(np.maximum(1.0 - cosine**2, 0.0))], 1)
         out[speed < _UNDER_WAY_MPS] = ANY_ASPECT
         out[~self.boxes] = 0.0
-        return out * self.half_m[:, None]
+        return out
 
     def expect_hull(self, vector: FloatArray) -> None:
         """Set the prior of the hull's dimensions from the widths of the boxes."""
@@ -420,23 +429,17 @@ class _Problem:
         rows = np.flatnonzero(np.isfinite(s.width_px))
         if rows.size < 3:
             return
-        if not PER:
-            aspect = self.aspect(vector)[rows]
-            pixels_per_metre = self.pixels_per_metre(vector)[rows]
-            seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
-            half = float(np.median(s.width_px[rows] / pixels_per_metre / seen))
-            self.mean[TARGET] = half, _BEAM_SHARE * half
-            self.sigma[TARGET] = _SIZE_SHARE * half, _SIZE_SHARE * _BEAM_SHARE * half
-            return
-        self.half_m = np.ones(len(s))
-        aspect = self.aspect(vector)[rows]
-        pixels_per_metre = self.pixels_per_metre(vector)[rows]
-        seen = 2.0 * (aspect[:, 1] + _BEAM_SHARE * aspect[:, 0])
-        each = s.width_px[rows] / pixels_per_metre / seen
-        for one in np.unique(s.log[rows]):
-            self.half_m[rows[s.log[rows] == one]] = np.median(each[s.log[rows] == one])
-        self.mean[TARGET] = 1.0, _BEAM_SHARE
-        self.sigma[TARGET] = _SIZE_SHARE, _SIZE_SHARE * _BEAM_SHARE
+        aspect = self.directions(vector)[rows]
+        seen = 2.0 * (aspect[:, 1] + BEAM_SHARE * aspect[:, 0])
+        each = s.width_px[rows] / self.pixels_per_metre(vector)[rows] / seen
+        logs, of = np.unique(s.log[rows], return_inverse=True)
+        half = np.array([np.median(each[of == one]) for one in range(logs.size)])
+        self.sizes = TargetSizes.of(half)
+        typical = self.sizes.half_length_m
+        self.relative_size[rows] = (half / typical)[of]
+        self.mean[TARGET] = typical, BEAM_SHARE * typical
+        self.sigma[TARGET] = _SIZE_SHARE * typical, _SIZE_SHARE * BEAM_SHARE * typical
+        self.middle_sigma_m = _MIDDLE_SHARE * typical
 
     def project(
         self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
@@ -470,7 +473,7 @@ class _Problem:
         jacobian = np.zeros((len(s), 2, vector.size))
         if vector.size > self.size:
             jacobian[:, :, self.layout.middle] = np.einsum(
-                "nij,nj->ni", by_point[:, :, :2], self.bow
+                "nij,nj->ni", by_point[:, :, :2], self.bow * self.relative_size[:, None]
             )
         jacobian[:, :, CAMERA] = by_parameter
         jacobian[:, :, POSITION] = -by_point[:, :, :2]
@@ -497,7 +500,7 @@ class _Problem:
             offset[self.moving] = vector[self.layout.clock(self.clock[self.moving])]
             place += offset * s.velocity_mps.T
         if vector.size > self.size:
-            place += vector[self.layout.middle] * self.bow.T
+            place += vector[self.layout.middle] * self.relative_size * self.bow.T
         return place[0], place[1]
 
     def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
@@ -537,7 +540,7 @@ class _Problem:
         out = np.zeros((held.size + size - self.size, size))
         out[np.arange(held.size), held] = 1.0 / self.sigma[held]
         if size > self.size:
-            out[held.size, self.layout.middle] = 1.0 / _MIDDLE_SIGMA_M
+            out[held.size, self.layout.middle] = 1.0 / self.middle_sigma_m
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
     def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
@@ -601,7 +604,7 @@ class _Problem:
 
     def reach(self, size: int) -> FloatArray:
         """(size,) the largest step of each parameter."""
-        return np.concatenate([self.scale, np.full(size - self.size, _MIDDLE_SIGMA_M)])
+        return np.concatenate([self.scale, np.full(size - self.size, self.middle_sigma_m)])
 
     def solve(
         self, start: FloatArray, noise: PixelNoise, evaluations: int
@@ -819,6 +822,7 @@ class _Problem:
                     )
                 )
             ),
+            sizes=self.sizes,
         )
 
     def with_all(self, fit: CameraFit, chosen: IntArray) -> CameraFit:

@@ -52,6 +52,10 @@ EARTH_RADIUS_M = 6_371_000.0
 Numbers = Any
 """(N,) float64, or one number."""
 
+Beyond = Callable[[Numbers], Numbers] | float
+"""How much further from the camera a place lies than where its ray meets the plane, metres; or a
+function that tells it from the distance at which the ray does."""
+
 _NEAREST = 1e-6
 _NEWTON_STEPS = 8
 _NEWTON_ENOUGH = 1e-14
@@ -500,7 +504,7 @@ class Located:
 
 
 def locate_with_jacobian(
-    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: Numbers, beyond_m: float
+    camera: Camera, x_px: FloatArray, y_px: FloatArray, above_m: Numbers, beyond_m: Beyond
 ) -> Located:
     """Places of pixels and their Jacobian: `Camera.locate`, for the propagation of uncertainty.
 
@@ -512,8 +516,7 @@ def locate_with_jacobian(
         x_px: (N,) columns.
         y_px: (N,) rows.
         above_m: Metres of the plane over the ground, (N,) or one number.
-        beyond_m: How much further from the camera the place lies than where the ray meets the
-            plane.
+        beyond_m: See `Beyond`.
     """
     x, y = camera._undistorted(x_px, y_px)
     down = camera._down(x, y)
@@ -523,7 +526,7 @@ def locate_with_jacobian(
 
 
 def locate_one(
-    camera: Camera, x_px: float, y_px: float, above_m: float, beyond_m: float
+    camera: Camera, x_px: float, y_px: float, above_m: float, beyond_m: Beyond
 ) -> tuple[float, float, float, FloatArray] | None:
     """As `locate_with_jacobian`, for one pixel: the fields of `Located`; None without a place."""
     try:
@@ -543,7 +546,7 @@ def _derive(
     y: Numbers,
     down: Numbers,
     above_m: Numbers,
-    beyond_m: float,
+    beyond_m: Beyond,
     sqrt: Callable[[Any], Any],
     out: FloatArray,
 ) -> tuple[Numbers, Numbers, Numbers]:
@@ -582,7 +585,7 @@ def _derive(
     turned = reach * (down / slope)
     x_along = turned * (r00 * sine + r01 * cosine) + r02 * further
     y_along = turned * (r10 * sine + r11 * cosine) + r12 * further
-    total = distance + beyond_m
+    total = distance + (beyond_m(distance) if callable(beyond_m) else beyond_m)
     aside = total / level
     x_across = aside * (r00 * cosine - r01 * sine)
     y_across = aside * (r10 * cosine - r11 * sine)

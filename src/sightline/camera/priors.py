@@ -25,6 +25,10 @@ from sightline.camera.parameters import (
 )
 from sightline.types import FloatArray
 
+ANY_ASPECT_SPREAD = (0.5 - 4.0 / np.pi**2, 0.5 - 4.0 / np.pi**2, 1.0 / np.pi - 4.0 / np.pi**2)
+"""Variances of ``|cos|`` and of ``|sin|`` of such an aspect, and their covariance."""
+
+
 ANY_ASPECT = 2.0 / np.pi
 
 
@@ -195,6 +199,10 @@ class PixelNoise:
             np.full_like(squared_pixels_per_metre, self.column_px**2),
             self.row_px**2 + row_m2 * squared_pixels_per_metre,
         )
+
+    def lasting_px2(self) -> tuple[float, float]:
+        """Variances of column and row that last, square pixels."""
+        return self.lasting_column_px**2, self.lasting_row_px**2
 
     def scaled(self, factor: float) -> PixelNoise:
         """The same noise, scaled by a factor."""

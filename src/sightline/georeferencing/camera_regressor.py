@@ -17,13 +17,21 @@ from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camer
 from sightline.camera.correlated_noise import LogError
 from sightline.camera.parameters import (
     CAMERA_AND_TARGET,
-    HALF_BEAM,
     HALF_LENGTH,
     SOURCE_PARAMETERS,
+    TARGET,
     ParameterLayout,
 )
-from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_with_jacobian
-from sightline.camera.priors import ANY_ASPECT, CameraPrior, PixelNoise, SourcePrior
+from sightline.camera.pinhole import (
+    BY_ABOVE,
+    BY_BEYOND,
+    BY_COLUMN,
+    BY_ROW,
+    Camera,
+    locate_with_jacobian,
+)
+from sightline.camera.priors import ANY_ASPECT, ANY_ASPECT_SPREAD, CameraPrior, PixelNoise, SourcePrior
+from sightline.camera.target_sizes import TargetSizes
 from sightline.georeferencing.model_file import numbers_of_shape
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
@@ -276,42 +284,59 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # By how much a target moves while the clock is unsure, along either axis.
         self.clock_variance = 0.5 * (self.fit_.clock_sigma_s * self.typical_speed_mps_) ** 2
         self.camera_: Camera = self.fit_.camera
-        length, beam = self.fit_.vector[HALF_LENGTH], self.fit_.vector[HALF_BEAM]
-        self.hull_m = float(ANY_ASPECT * (length + beam))
-        # The variance of length |cos| + beam |sin| over all aspects.
-        aspect = 0.5 * (length**2 + beam**2) + ANY_ASPECT * length * beam - self.hull_m**2
+        self.half_m = self.fit_.vector[TARGET]
         # Of a box nobody knows the course, and so not to which side of its middle the receiver is.
-        place = self.fit_.noise.place_m**2 + 0.5 * self.fit_.noise.middle_m**2
-        self.place_variance = np.array([[place + aspect], [place]])
-        self._biases: dict[str, tuple[float, float, FloatArray]] = {}
+        noise = self.fit_.noise
+        self.place_variance = noise.place_m**2 + 0.5 * noise.middle_m**2
+        self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
 
-    def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
+    def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
         """Bias of a source, pixels and metres, and a root of the covariance of all parameters.
 
-        The root is (13, 12): its product with `Located.derivatives`, but for the last, has the
-        square that the covariance gives.
+        The root is (16, 15): its product with `Located.derivatives`, but for the last, has the
+        square that the covariance gives, but for the target's part. That is (16, 2), to be
+        multiplied by the shares of half length and half beam along the line of sight.
         """
         if source not in self._biases:
             bias, covariance = self.bias(source)
             values, vectors = np.linalg.eigh(covariance)
             root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-            # Nobody knows where the bow of a box points to: both halves of a hull count alike.
-            root[:, HALF_BEAM] = ANY_ASPECT * (root[:, HALF_LENGTH] + root[:, HALF_BEAM])
+            of_target = np.ascontiguousarray(root[:, TARGET])
             root = np.delete(root, HALF_LENGTH, axis=1)
+            # The reach of a hull is the box's own: see `hull`.
+            root[:, BY_BEYOND] = 0.0
             # What the bias adds to the row is taken off before the place is looked up.
             root[:, BY_ROW] *= -1.0
-            self._biases[source] = (float(bias[0]), float(bias[1]), np.ascontiguousarray(root))
+            self._biases[source] = (
+                float(bias[0]),
+                float(bias[1]),
+                np.ascontiguousarray(root),
+                of_target,
+            )
         return self._biases[source]
+
+    def reach(self, width_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """How far hulls of some apparent widths reach towards the camera: see `TargetSizes`.
+
+        Of models that were fitted without it, every target is a typical one of any course.
+        """
+        if self.fit_.sizes is not None:
+            return self.fit_.sizes.reach(width_m)
+        any_aspect = np.full(width_m.shape, ANY_ASPECT)
+        spread = np.array(ANY_ASPECT_SPREAD)[:, None] * np.ones(width_m.shape)
+        return any_aspect, any_aspect, spread
 
     def _see(
         self, boxes: FloatArray, source: str, above_m: FloatArray, *, heave: bool = True
     ) -> _Seen:
-        bias_px, bias_m, root = self.bias_root(source)
+        bias_px, bias_m, root, of_target = self.bias_root(source)
         camera = self.camera_
         column, row = 0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3] - bias_px
-        at = locate_with_jacobian(camera, column, row, bias_m + above_m, self.hull_m)
+        hull = _Hulls(self, boxes[:, 2] - boxes[:, 0], above_m)
+        at = locate_with_jacobian(camera, column, row, bias_m + above_m, hull)
         by = at.derivatives
         shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
+        shift[:, 0] += of_target @ hull.shares
         moved = np.einsum("kin,kin->in", shift, shift)
         if self.above_sigma_m > 0.0:
             moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
@@ -322,14 +347,23 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         noise = of_column * by_column * by_column
         noise += of_row * by_row * by_row
         noise += self.place_variance
+        noise[0] += hull.variance_m2
+        last_column, last_row = box.lasting_px2()
+        lasting = last_column * by_column * by_column + last_row * by_row * by_row
+        lasting += box.lasting_m**2
+        lasting_mixed = last_column * by_column[0] * by_column[1] + last_row * by_row[0] * by_row[1]
         return _Seen(
             at.distance_m,
             at.sine,
             at.cosine,
             moved=moved,
             moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
-            noise=noise,
-            noise_mixed=of_column * by_column[0] * by_column[1] + of_row * by_row[0] * by_row[1],
+            noise=noise + lasting,
+            noise_mixed=of_column * by_column[0] * by_column[1]
+            + of_row * by_row[0] * by_row[1]
+            + lasting_mixed,
+            lasting=lasting,
+            lasting_mixed=lasting_mixed,
         )
 
     def _inputs(self, boxes: FloatArray, seen: _Seen, source: str) -> FloatArray:
@@ -402,7 +436,14 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         places[:, 1] = self.camera_.north_m + distance * cosine
         _turn(along, across, mixed, sine, cosine, covariance)
         if shared.size:
-            _turn(along - own_along, across - own_across, seen.moved_mixed, sine, cosine, shared)
+            _turn(
+                along - own_along + seen.lasting[0],
+                across - own_across + seen.lasting[1],
+                seen.moved_mixed + seen.lasting_mixed,
+                sine,
+                cosine,
+                shared,
+            )
         if not known.all():
             places[~known] = np.nan
             covariance[~known] = np.nan
@@ -495,6 +536,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "starts": fit.starts,
             "typical_range_m": fit.typical_range_m,
             "typical_speed_mps": self.typical_speed_mps_,
+            "sizes": None
+            if fit.sizes is None
+            else {"half_length_m": fit.sizes.half_length_m, "log_sigma": fit.sizes.log_sigma},
         }
         for key, process in (("range", self.range_process_), ("bearing", self.bearing_process_)):
             if process is not None:
@@ -543,6 +587,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         size = ParameterLayout(len(model.sources_), clock_groups.size).size
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
         nothing = np.empty(0)
+        sizes = settings.get("sizes")
+        if sizes is not None:
+            sizes = TargetSizes(float(sizes["half_length_m"]), float(sizes["log_sigma"]))
         model.fit_ = CameraFit(
             vector=vector,
             covariance=np.array(arrays["covariance"], dtype=np.float64).reshape(size, size),
@@ -557,6 +604,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             starts_agreeing=int(settings["starts_agreeing"]),
             starts=int(settings["starts"]),
             typical_range_m=float(settings["typical_range_m"]),
+            sizes=sizes,
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
             raise ValueError("a parameter of the camera is not a number")
@@ -627,6 +675,8 @@ class _Seen:
         moved_mixed: (N,) the covariance of the two.
         noise: (2, N) variance along and across that the box's noise makes.
         noise_mixed: (N,) the covariance of the two.
+        lasting: (2, N) the part of ``noise`` that is alike a moment later.
+        lasting_mixed: (N,) the covariance of the two.
     """
 
     distance: FloatArray
@@ -636,9 +686,39 @@ class _Seen:
     moved_mixed: FloatArray
     noise: FloatArray
     noise_mixed: FloatArray
+    lasting: FloatArray
+    lasting_mixed: FloatArray
 
     def __getitem__(self, rows: BoolArray | slice) -> _Seen:
         return _Seen(*(getattr(self, column.name)[..., rows] for column in fields(self)))
+
+
+class _Hulls:
+    """How far the hulls of boxes reach towards the camera, once their distances are known.
+
+    Attributes:
+        shares: (2, N) of the typical half length and half beam.
+        variance_m2: (N,) of the reach, for a target of any course.
+    """
+
+    shares: FloatArray
+    variance_m2: FloatArray
+
+    def __init__(self, model: CameraRegressor, width_px: FloatArray, above_m: FloatArray) -> None:
+        self._model, self._width_px, self._above_m = model, width_px, above_m
+
+    def __call__(self, distance_m: FloatArray) -> FloatArray:
+        """(N,) metres, by (N,) distances."""
+        camera, (half_length, half_beam) = self._model.camera_, self._model.half_m
+        slant = np.sqrt(distance_m * distance_m + (camera.height_m - self._above_m) ** 2)
+        length, beam, spread = self._model.reach(self._width_px * slant / camera.focal_px)
+        self.shares = np.stack([length, beam])
+        self.variance_m2 = (
+            half_length**2 * spread[0]
+            + half_beam**2 * spread[1]
+            + 2.0 * half_length * half_beam * spread[2]
+        )
+        return np.asarray(half_length * length + half_beam * beam)
 
 
 def _turn(

@@ -13,6 +13,7 @@ import numpy as np
 
 from sightline.camera.calibration import CameraFit
 from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate_one
+from sightline.camera.priors import ANY_ASPECT, ANY_ASPECT_SPREAD
 from sightline.georeferencing.residual_gp import ResidualProcess
 from sightline.types import FloatArray
 
@@ -25,11 +26,11 @@ class FittedCamera(Protocol):
     above_sigma_m: float
     range_process_: ResidualProcess | None
     bearing_process_: ResidualProcess | None
-    hull_m: float
-    place_variance: FloatArray
+    half_m: FloatArray
+    place_variance: float
     clock_variance: float
 
-    def bias_root(self, source: str) -> tuple[float, float, FloatArray]:
+    def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
         """Bias of a source, pixels and metres, and a root of the covariance of all parameters."""
         ...
 
@@ -56,21 +57,42 @@ def place_one(
     """
     x1, y1, x2, y2 = box.tolist()
     camera = model.camera_
-    bias_px, bias_m, root = model.bias_root(source)
-    at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m + above_m, model.hull_m)
+    bias_px, bias_m, root, of_target = model.bias_root(source)
+    height_m = camera.height_m - above_m
+    half_length, half_beam = model.half_m.tolist()
+    sizes = model.fit_.sizes
+    length = beam = ANY_ASPECT
+    spread = ANY_ASPECT_SPREAD
+
+    def hull(distance_m: float) -> float:
+        nonlocal length, beam, spread
+        if sizes is not None:
+            slant_m = math.hypot(distance_m, height_m)
+            length, beam, *rest = sizes.reach_one((x2 - x1) * slant_m / camera.focal_px)
+            spread = (rest[0], rest[1], rest[2])
+        return half_length * length + half_beam * beam
+
+    at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m + above_m, hull)
     if at is None:
         return None
     distance, sine, cosine, by = at
     shift = root @ by[:BY_COLUMN]
+    shift[:, 0] += of_target @ (length, beam)
     (along, mixed), (_, across) = (shift.T @ shift).tolist()
     along += (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
-    height_m = camera.height_m - above_m
     slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
     (row_along, row_across), (column_along, column_across) = by[[BY_ROW, BY_COLUMN]].tolist()
-    (place_along,), (place_across,) = model.place_variance.tolist()
-    own_along = of_column * column_along**2 + of_row * row_along**2 + place_along
-    own_across = of_column * column_across**2 + of_row * row_across**2 + place_across
+    noise = model.fit_.noise
+    last_column, last_row = noise.lasting_px2()
+    last_along = last_column * column_along**2 + last_row * row_along**2 + noise.lasting_m**2
+    last_across = last_column * column_across**2 + last_row * row_across**2 + noise.lasting_m**2
+    last_mixed = last_column * column_along * column_across + last_row * row_along * row_across
+    own_along = of_column * column_along**2 + of_row * row_along**2 + model.place_variance
+    own_along += half_length**2 * spread[0] + half_beam**2 * spread[1] + last_along
+    own_along += 2.0 * half_length * half_beam * spread[2]
+    own_across = of_column * column_across**2 + of_row * row_across**2 + model.place_variance
+    own_across += last_across
     if not along + own_along < (largest_relative_sigma * distance) ** 2:
         return None
     along += model.clock_variance
@@ -78,6 +100,7 @@ def place_one(
     own_mixed = 0.0
     if model.range_process_ is None or model.bearing_process_ is None:
         own_mixed = of_column * column_along * column_across + of_row * row_along * row_across
+        own_mixed += last_mixed
     else:
         heading = math.radians(camera.heading_deg)
         sin_h, cos_h = math.sin(heading), math.cos(heading)
@@ -102,7 +125,7 @@ def place_one(
         sin_t, cos_t = math.sin(turn), math.cos(turn)
         sine, cosine = sine * cos_t + cosine * sin_t, cosine * cos_t - sine * sin_t
     place = np.array([[camera.east_m + distance * sine, camera.north_m + distance * cosine]])
-    shared = _turned(along, across, mixed, sine, cosine)
+    shared = _turned(along + last_along, across + last_across, mixed + last_mixed, sine, cosine)
     whole = _turned(along + own_along, across + own_across, mixed + own_mixed, sine, cosine)
     return place, np.array(whole), np.array(shared)
 
