@@ -87,6 +87,7 @@ _NOISE_PRIOR = {
     "correlation_time_s": (float(__import__("os").environ.get("TL","20")), float(__import__("os").environ.get("TLW","0.5"))),
     "heave_m": (0.15, 1.0),
     "offset_m": (1.0,),
+    "antenna_share": (0.3, 0.7),
     "lasting_m": (1.0,),
     "lasting_row_px": (1.0,),
     "lasting_column_px": (1.0,),
@@ -334,6 +335,7 @@ class _Problem:
         self.relative_size = np.ones(len(sightings))
         self.sizes: TargetSizes | None = None
         self.middle_sigma_m = _MIDDLE_SIGMA_M
+        self.half_lengths_m: FloatArray | None = None
         self.prior = prior
         self.position_known = position_known
         moving = np.abs(sightings.velocity_mps).sum(axis=1) > 0.0
@@ -440,6 +442,7 @@ class _Problem:
         self.mean[TARGET] = typical, BEAM_SHARE * typical
         self.sigma[TARGET] = _SIZE_SHARE * typical, _SIZE_SHARE * BEAM_SHARE * typical
         self.middle_sigma_m = _MIDDLE_SHARE * typical
+        self.half_lengths_m = typical * self.relative_size[:, None] * self.bow
 
     def project(
         self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
@@ -577,6 +580,7 @@ class _Problem:
                 by_place,
                 noise,
                 by_point[:, :, 2],
+                self.half_lengths_m,
             )
             both = whitening.forward(np.concatenate([jacobian, residual[:, :, None]], axis=2))
             flat = both.reshape(-1, vector.size + 1)
@@ -703,6 +707,7 @@ class _Problem:
                 "correlated_m",
                 "correlation_time_s",
                 "offset_m",
+                "antenna_share",
                 "lasting_m",
                 "lasting_row_px",
                 "lasting_column_px",
@@ -717,7 +722,9 @@ class _Problem:
             if not self.blocks:
                 now = replace(now, correlated_m=0.0)
             variance = (np.tensordot(np.exp(2.0 * t[:4]), parts, 1) + known) / found.weight
-            whitening = Whitening(self.blocks, variance, by_place, now, by_point[:, :, 2])
+            whitening = Whitening(
+                self.blocks, variance, by_place, now, by_point[:, :, 2], self.half_lengths_m
+            )
             both = whitening.forward(columns)
             flat = both.reshape(-1, size + 1)
             factor = cho_factor(
@@ -789,6 +796,7 @@ class _Problem:
             by_place,
             noise,
             by_point[:, :, 2],
+            self.half_lengths_m,
         )
         scaled = whitening.forward(jacobian).reshape(-1, found.vector.size)
         _, beliefs = self.beliefs(found.vector.size)

@@ -219,6 +219,8 @@ class Whitening:
         by_place: (N, 2, 2) pixels a metre, derivatives of columns and rows by east and north.
         noise: What is correlated.
         by_height: (N, 2) pixels a metre, derivatives of columns and rows by the camera's height.
+        half_lengths_m: (N, 2) half of each target's length in the direction of its course; zero
+            where that is not known.
     """
 
     def __init__(
@@ -228,12 +230,19 @@ class Whitening:
         by_place: FloatArray,
         noise: PixelNoise,
         by_height: FloatArray | None = None,
+        half_lengths_m: FloatArray | None = None,
     ) -> None:
         self._blocks = blocks
         self._sigma = np.sqrt(variance_px2)
         self._by_place = by_place
         self._by_height = by_height if noise.heave_m > 0.0 else None
         self._noise = noise
+        self._half_lengths_m = half_lengths_m
+        self._by_antenna = (
+            np.zeros(by_place.shape[:2])
+            if half_lengths_m is None
+            else np.einsum("nij,nj->ni", by_place, half_lengths_m)
+        )
         self.variance_px2 = variance_px2
         self.factors = []
         self.kernels = []
@@ -249,6 +258,7 @@ class Whitening:
             covariance[:, 0, :, 0] += noise.lasting_column_px**2 * lasting
             covariance[:, 1, :, 1] += noise.lasting_row_px**2 * lasting
             covariance = covariance.reshape(2 * n, 2 * n)
+            covariance += noise.antenna_share**2 * self._aboard(block)
             if self._by_height is not None:
                 covariance += np.kron(self._heave_kernel(block), np.ones((2, 2))) * self._lifted(
                     block
@@ -258,6 +268,11 @@ class Whitening:
 
     def _lasting_kernel(self, block: Block) -> FloatArray:
         return np.asarray(np.exp(-block.apart_s / self._noise.lasting_time_s))
+
+    def _aboard(self, block: Block) -> FloatArray:
+        """(2 n, 2 n) covariance of the pixels for receivers half a length off the middle."""
+        flat = self._by_antenna[block.rows].ravel()
+        return np.outer(flat, flat)
 
     def turned(self, block: Block) -> FloatArray:
         """(2 n, 2 n) covariance of the pixels for a shared place error of unit variance."""
@@ -313,6 +328,10 @@ class Whitening:
             own = kernel if block.gap_m2 is None else kernel + block.gap_m2
             drift[block.rows] = own @ pulled[block.rows]
             offset[block.rows] = self._noise.offset_m**2 * pulled[block.rows].sum(axis=0)
+            if self._half_lengths_m is not None:
+                ahead = float(np.vdot(self._by_antenna[block.rows], weights[block.rows]))
+                ahead *= self._noise.antenna_share**2
+                offset[block.rows] += ahead * self._half_lengths_m[block.rows]
         return drift, offset
 
     def log_determinant(self) -> float:
@@ -348,6 +367,7 @@ class Whitening:
                 "correlation_time_s",
                 "heave_m",
                 "offset_m",
+                "antenna_share",
                 "lasting_row_px",
                 "lasting_column_px",
                 "lasting_m",
@@ -383,6 +403,8 @@ class Whitening:
                 * noise.correlated_m**2
                 * float(np.vdot(together, block.log_kernel_slope(noise.correlation_time_s)))
             )
+            aboard = float(np.vdot(inner, self._aboard(block)))
+            out["antenna_share"] += noise.antenna_share**2 * aboard
             body = noise.lasting_m**2
             out["lasting_m"] += body * float(np.vdot(together, lasting))
             out["lasting_time_s"] += 0.5 * body * float(np.vdot(together, slope))

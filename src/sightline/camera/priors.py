@@ -86,7 +86,7 @@ class CameraPrior:
     half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
     principal_sigma_widths: float = 0.02
-    curvature: tuple[float, float] = (6.0 / 7.0, 0.3)
+    curvature: tuple[float, float] = (6.0 / 7.0, float(__import__("os").environ.get("CURV","0.5")))
     bias_px: float = 0.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3
@@ -183,6 +183,7 @@ class PixelNoise:
     heave_m: float = 0.0
     middle_m: float = 0.0
     offset_m: float = 0.0
+    antenna_share: float = 0.0
     lasting_m: float = 0.0
     lasting_row_px: float = 0.0
     lasting_column_px: float = 0.0
@@ -216,6 +217,7 @@ class PixelNoise:
             self.heave_m * factor,
             self.middle_m,
             self.offset_m * factor,
+            self.antenna_share * factor,
             self.lasting_m * factor,
             self.lasting_row_px * factor,
             self.lasting_column_px * factor,
