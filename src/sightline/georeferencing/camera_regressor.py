@@ -286,8 +286,10 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.camera_: Camera = self.fit_.camera
         self.half_m = self.fit_.vector[TARGET]
         # Of a box nobody knows the course, and so not to which side of its middle the receiver is.
-        noise = self.fit_.noise
-        self.place_variance = noise.place_m**2 + 0.5 * noise.middle_m**2
+        noise, half_length = self.fit_.noise, self.half_m[0]
+        self.aboard_m2 = float(noise.middle_m**2 + (noise.antenna_share * half_length) ** 2)
+        # What lasts is the box's as well as the log's, as far as anyone can tell.
+        self.lasting_m2 = noise.lasting_m**2 + noise.offset_m**2
         self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
@@ -346,11 +348,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         of_column, of_row = box.variances_px2(camera.focal_px**2 / slant)
         noise = of_column * by_column * by_column
         noise += of_row * by_row * by_row
-        noise += self.place_variance
+        noise += self.fit_.noise.place_m**2
         noise[0] += hull.variance_m2
         last_column, last_row = box.lasting_px2()
         lasting = last_column * by_column * by_column + last_row * by_row * by_row
-        lasting += box.lasting_m**2
+        lasting += self.lasting_m2
+        lasting += self.aboard_m2 * hull.squares
         lasting_mixed = last_column * by_column[0] * by_column[1] + last_row * by_row[0] * by_row[1]
         return _Seen(
             at.distance_m,
@@ -698,10 +701,13 @@ class _Hulls:
 
     Attributes:
         shares: (2, N) of the typical half length and half beam.
+        squares: (2, N) means of the squares of a target's lengths along and across the line of
+            sight, shares of the typical half length.
         variance_m2: (N,) of the reach, for a target of any course.
     """
 
     shares: FloatArray
+    squares: FloatArray
     variance_m2: FloatArray
 
     def __init__(self, model: CameraRegressor, width_px: FloatArray, above_m: FloatArray) -> None:
@@ -713,6 +719,7 @@ class _Hulls:
         slant = np.sqrt(distance_m * distance_m + (camera.height_m - self._above_m) ** 2)
         length, beam, spread = self._model.reach(self._width_px * slant / camera.focal_px)
         self.shares = np.stack([length, beam])
+        self.squares = self.shares**2 + spread[:2]
         self.variance_m2 = (
             half_length**2 * spread[0]
             + half_beam**2 * spread[1]
