@@ -165,39 +165,54 @@ def gap_covariance(time_s: FloatArray, sigma_m: FloatArray, gap_s: FloatArray) -
 
 
 @dataclass(frozen=True, eq=False)
-class LogError:
-    """Correlated log error, projected on one coordinate at each of several places.
+class CorrelatedError:
+    """Correlated errors of log and box, projected on one coordinate at each of several places.
 
     Attributes:
         time_s: (N,) float64, seconds; NaN where it is not known, and errors are independent.
-        direction: (N, 2) float64, by how much the coordinate changes with a metre east and north.
         log: (N,) int64, which log tells each place; errors of different ones are independent.
-        correlated_m: Standard deviation in east and in north.
-        correlation_time_s: Its correlation time.
-        heave: Standard deviation of what the camera's heave adds to the coordinate.
+        noise: How large the errors are.
+        direction: (N, 2) float64, by how much the coordinate changes with a metre east and north.
+        by_pixel: (N, 2) float64, the same with a pixel of column and row.
+        aboard: (N,) float64, the same with half a length of the target along its course.
+        hull: (N,) float64, standard deviation of what the reach of hulls makes of it.
+        by_heave: By how much it changes with a metre of the camera's height.
     """
 
     time_s: FloatArray
-    direction: FloatArray
     log: IntArray
-    correlated_m: float
-    correlation_time_s: float
-    heave: float = 0.0
+    noise: PixelNoise
+    direction: FloatArray
+    by_pixel: FloatArray
+    aboard: FloatArray
+    hull: FloatArray
+    by_heave: float = 0.0
 
-    def __getitem__(self, rows: IntArray | BoolArray) -> LogError:
+    def __getitem__(self, rows: IntArray | BoolArray) -> CorrelatedError:
         return replace(
-            self, time_s=self.time_s[rows], direction=self.direction[rows], log=self.log[rows]
+            self,
+            **{
+                name: getattr(self, name)[rows]
+                for name in ("time_s", "log", "direction", "by_pixel", "aboard", "hull")
+            },
         )
 
     def covariance(self) -> FloatArray:
         """(N, N) covariance of the coordinate."""
-        apart = _apart(self.time_s)
-        kernel = self.correlated_m**2 * np.exp(-apart / self.correlation_time_s)
-        alike = (self.log[:, None] == self.log[None, :]) & np.isfinite(kernel)
-        out = np.where(alike, kernel, 0.0) * (self.direction @ self.direction.T)
-        if self.heave > 0.0:
-            out += np.where(alike, self.heave**2 * np.exp(-apart / HEAVE_CORRELATION_TIME_S), 0.0)
-        return np.asarray(out)
+        noise, apart = self.noise, _apart(self.time_s)
+        alike = (self.log[:, None] == self.log[None, :]) & np.isfinite(apart)
+        apart = np.where(alike, apart, 0.0)
+        lasting = np.exp(-apart / noise.lasting_time_s)
+        metres = noise.correlated_m**2 * np.exp(-apart / noise.correlation_time_s)
+        metres += noise.offset_m**2 + noise.lasting_m**2 * lasting
+        out = metres * (self.direction @ self.direction.T)
+        pixels = self.by_pixel * (noise.lasting_column_px, noise.lasting_row_px)
+        out += lasting * (pixels @ pixels.T)
+        out += noise.antenna_share**2 * np.outer(self.aboard, self.aboard)
+        out += np.outer(self.hull, self.hull)
+        heave = noise.heave_m * self.by_heave
+        out += heave**2 * np.exp(-apart / HEAVE_CORRELATION_TIME_S)
+        return np.where(alike, out, 0.0)
 
 
 def _apart(time_s: FloatArray) -> FloatArray:

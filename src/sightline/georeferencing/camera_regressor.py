@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
 from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
-from sightline.camera.correlated_noise import LogError
+from sightline.camera.correlated_noise import CorrelatedError
 from sightline.camera.parameters import (
     CAMERA_AND_TARGET,
     HALF_LENGTH,
@@ -53,6 +53,7 @@ UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
 
+GSE = float(__import__("os").environ.get("GSE", "1"))
 # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
@@ -349,11 +350,11 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         noise = of_column * by_column * by_column
         noise += of_row * by_row * by_row
         noise += self.fit_.noise.place_m**2
-        noise[0] += hull.variance_m2
         last_column, last_row = box.lasting_px2()
         lasting = last_column * by_column * by_column + last_row * by_row * by_row
         lasting += self.lasting_m2
         lasting += self.aboard_m2 * hull.squares
+        lasting[0] += hull.variance_m2
         lasting_mixed = last_column * by_column[0] * by_column[1] + last_row * by_row[0] * by_row[1]
         return _Seen(
             at.distance_m,
@@ -367,6 +368,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             + lasting_mixed,
             lasting=lasting,
             lasting_mixed=lasting_mixed,
+            by_pixel=np.stack([by_column, by_row], axis=1),
+            hull=np.sqrt(np.maximum(hull.variance_m2, 0.0)),
         )
 
     def _inputs(self, boxes: FloatArray, seen: _Seen, source: str) -> FloatArray:
@@ -457,7 +460,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         boxes, names, n = observations.boxes_xyxy_px, observations.source, len(observations)
         inputs, targets = np.full((n, 4), np.nan), np.full((n, 2), np.nan)
         noise = np.full((n, 2), np.nan)
-        sight = np.full((n, 2), np.nan)
+        hull = np.full(n, np.nan)
+        sight, by_pixel = np.full((n, 2), np.nan), np.full((n, 2, 2), np.nan)
         camera = self.camera_
         east, north = places[:, 0] - camera.east_m, places[:, 1] - camera.north_m
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -466,7 +470,10 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                 # Heave is in the correlated error, below.
                 seen = self._see(boxes[rows], str(name), observations.above_m[rows], heave=False)
                 inputs[rows] = self._inputs(boxes[rows], seen, str(name))
-                noise[rows] = np.sqrt(seen.noise / np.square(seen.distance)).T
+                own = seen.noise - seen.lasting
+                noise[rows] = np.sqrt(own / np.square(seen.distance)).T
+                hull[rows] = seen.hull / seen.distance
+                by_pixel[rows] = np.moveaxis(seen.by_pixel / seen.distance, -1, 0)
                 sight[rows] = np.stack([seen.sine, seen.cosine], axis=1) / seen.distance[:, None]
                 turn = np.arctan2(east[rows], north[rows]) - np.arctan2(seen.sine, seen.cosine)
                 targets[rows, 0] = np.log(np.hypot(east[rows], north[rows]) / seen.distance)
@@ -482,30 +489,38 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
         if usable.sum() < FEWEST_FOR_RESIDUAL:
             return
-        limit = 3.0 * noise[usable]
-        clipped = np.clip(targets[usable], -limit, limit)
-
+        speed = np.hypot(*observations.velocity_mps.T)[:, None]
+        ahead_m = self.half_m[0] * observations.velocity_mps / np.maximum(speed, 1e-9)
         def learn(axis: int) -> ResidualProcess:
             along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
-            log_error = LogError(
+            log_error = CorrelatedError(
                 observations.time_s,
-                along_or_across,
                 self._log,
-                self.fit_.noise.correlated_m,
-                self.fit_.noise.correlation_time_s,
+                self.fit_.noise,
+                along_or_across,
+                by_pixel[:, axis],
+                np.einsum("ni,ni->n", along_or_across, ahead_m),
+                hull if axis == 0 else np.zeros(n),
                 # Heave changes all ranges by the same share, and no bearing.
-                self.fit_.noise.heave_m / camera.height_m if axis == 0 else 0.0,
+                1.0 / camera.height_m if axis == 0 else 0.0,
             )
+            known = log_error[usable]
+            limit = 3.0 * np.sqrt(noise[usable, axis] ** 2 + np.diag(known.covariance()))
             return ResidualProcess(
                 inputs[usable],
-                clipped[:, axis],
+                np.clip(targets[usable, axis], -limit, limit),
                 noise[usable, axis],
                 self._group[usable],
                 length_scales=_LENGTH_SCALES,
-                log_error=log_error[usable],
+                log_error=known,
             )
 
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
+        gains = [p.gain() for p in (self.range_process_, self.bearing_process_)]
+        if __import__("os").environ.get("VG"):
+            print("GAIN", [(round(a, 3), round(b, 3)) for a, b in gains])
+        if gains[0][0] <= GSE * gains[0][1]:
+            self.range_process_ = self.bearing_process_ = None
 
     def without_residual(self) -> Self:
         """The camera of this model alone."""
@@ -553,6 +568,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
                     arrays[f"{key}.time"] = process.log_error.time_s
                     arrays[f"{key}.direction"] = process.log_error.direction
                     arrays[f"{key}.log"] = process.log_error.log
+                    arrays[f"{key}.by_pixel"] = process.log_error.by_pixel
+                    arrays[f"{key}.aboard"] = process.log_error.aboard
+                    arrays[f"{key}.hull"] = process.log_error.hull
                 settings[key] = {
                     "hyperparameters": process.hyperparameters.to_list(),
                     "length_scales": list(process.length_scales),
@@ -647,13 +665,15 @@ def _restored_process(
     group = part("group").astype(np.int64)
     log_error = None
     if f"{key}.time" in arrays:
-        log_error = LogError(
+        log_error = CorrelatedError(
             part("time"),
-            part("direction", 2),
             part("log").astype(np.int64) if f"{key}.log" in arrays else group,
-            fit.noise.correlated_m,
-            fit.noise.correlation_time_s,
-            fit.noise.heave_m / height_m if key == "range" else 0.0,
+            fit.noise,
+            part("direction", 2),
+            part("by_pixel", 2) if f"{key}.by_pixel" in arrays else np.zeros((n, 2)),
+            part("aboard") if f"{key}.aboard" in arrays else np.zeros(n),
+            part("hull") if f"{key}.hull" in arrays else np.zeros(n),
+            1.0 / height_m if key == "range" else 0.0,
         )
     return ResidualProcess(
         part("inputs", _INPUTS),
@@ -680,6 +700,8 @@ class _Seen:
         noise_mixed: (N,) the covariance of the two.
         lasting: (2, N) the part of ``noise`` that is alike a moment later.
         lasting_mixed: (N,) the covariance of the two.
+        by_pixel: (2, 2, N) metres along and across by a pixel of column and row.
+        hull: (N,) standard deviation of how far the hull reaches towards the camera.
     """
 
     distance: FloatArray
@@ -691,6 +713,8 @@ class _Seen:
     noise_mixed: FloatArray
     lasting: FloatArray
     lasting_mixed: FloatArray
+    by_pixel: FloatArray
+    hull: FloatArray
 
     def __getitem__(self, rows: BoolArray | slice) -> _Seen:
         return _Seen(*(getattr(self, column.name)[..., rows] for column in fields(self)))

@@ -88,12 +88,13 @@ def place_one(
     last_column, last_row = noise.lasting_px2()
     last_along = last_column * column_along**2 + last_row * row_along**2
     last_along += model.lasting_m2 + model.aboard_m2 * (length**2 + spread[0])
+    last_along += half_length**2 * spread[0] + half_beam**2 * spread[1]
+    last_along += 2.0 * half_length * half_beam * spread[2]
     last_across = last_column * column_across**2 + last_row * row_across**2
     last_across += model.lasting_m2 + model.aboard_m2 * (beam**2 + spread[1])
     last_mixed = last_column * column_along * column_across + last_row * row_along * row_across
     own_along = of_column * column_along**2 + of_row * row_along**2 + noise.place_m**2
-    own_along += half_length**2 * spread[0] + half_beam**2 * spread[1] + last_along
-    own_along += 2.0 * half_length * half_beam * spread[2]
+    own_along += last_along
     own_across = of_column * column_across**2 + of_row * row_across**2 + noise.place_m**2
     own_across += last_across
     if not along + own_along < (largest_relative_sigma * distance) ** 2:

@@ -21,13 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, lapack, solve_triangular
 from scipy.optimize import minimize
 
-from sightline.camera.correlated_noise import LogError
+from sightline.camera.correlated_noise import CorrelatedError
 from sightline.types import FloatArray, IntArray
 
 MOST_POINTS = 2000
 """Exact inference is fine to about this many points; more are thinned evenly."""
 
 _MOST_FOR_LEARNING = 300
+_FEWEST_FOLDS = 4
 # So that a block of the kernel stays in the cache.
 _KERNEL_SIZE = 131072
 _BLOCK = 64
@@ -89,8 +90,8 @@ class ResidualProcess:
         group: (N,) int64, the recording of each.
         hyperparameters: Absent: the most probable under priors about ``length_scales``.
         length_scales: (D,) prior medians of the length scales.
-        log_error: What the correlated error of the logs makes of the targets. It is no property of
-            boxes, so that nothing of it is in what is predicted. Absent: nothing.
+        log_error: What correlated errors of logs and boxes make of the targets. They come with a
+            target and not with a place, so that nothing of them is predicted. Absent: nothing.
     """
 
     def __init__(
@@ -102,7 +103,7 @@ class ResidualProcess:
         *,
         length_scales: tuple[float, ...],
         hyperparameters: Hyperparameters | None = None,
-        log_error: LogError | None = None,
+        log_error: CorrelatedError | None = None,
     ) -> None:
         chosen = _thin(len(targets), MOST_POINTS)
         self.inputs, self.targets = inputs[chosen], targets[chosen]
@@ -153,6 +154,36 @@ class ResidualProcess:
             explained[rows] = self._explained(kernel.astype(np.float32))
         variance = np.maximum(h.amplitude**2 - explained, 0.0)
         return mean, variance + self._of_new_recording + (h.noise * noise) ** 2
+
+    def gain(self) -> tuple[float, float]:
+        """By how much the process places what was left out better, and how sure that is.
+
+        Each recording is left out in turn and predicted from the others; one alone is parted into
+        stretches. The gain of a recording is by how much the mean square of its targets falls, over
+        their stated variance, when the predictions are taken off.
+
+        Returns:
+            The mean gain of a recording, and its standard error.
+        """
+        fold = self.group
+        if np.unique(fold).size < _FEWEST_FOLDS:
+            fold = np.arange(len(fold)) * _FEWEST_FOLDS // max(len(fold), 1)
+        h = self.hyperparameters
+        logged = 0.0 if self.log_error is None else self.log_error.covariance()
+        scaled = self.inputs / np.array(h.length_scales)
+        smooth = h.amplitude**2 * np.exp(-0.5 * _squared_differences(scaled).sum(axis=0))
+        rest = _rest(h, self.noise, _same(self.group)) + logged
+        variance = self.noise**2 + np.diag(logged + np.zeros_like(rest))
+        gains = []
+        for one in np.unique(fold):
+            left, kept = np.flatnonzero(fold == one), np.flatnonzero(fold != one)
+            factor = cho_factor((smooth + rest)[np.ix_(kept, kept)], lower=True)
+            expected = smooth[np.ix_(left, kept)] @ cho_solve(factor, self.targets[kept])
+            own = self.targets[left]
+            gains.append(np.sum((own**2 - (own - expected) ** 2) / variance[left]))
+        total = np.array(gains)
+        error = np.std(total, ddof=1) * np.sqrt(total.size)
+        return float(total.sum() / len(self.targets)), float(error / len(self.targets))
 
     def _explained(self, kernel: NDArray[np.float32]) -> NDArray[np.float32]:
         """(M,) variance explained by the training points, from the kernel (M, N)."""
@@ -238,7 +269,7 @@ class LogLikelihood:
         targets: FloatArray,
         noise: FloatArray,
         group: IntArray,
-        log_error: LogError | None = None,
+        log_error: CorrelatedError | None = None,
     ) -> None:
         self._logged = 0.0 if log_error is None else log_error.covariance()
         self._targets, self._noise, self._same = targets, noise, _same(group)
