@@ -72,6 +72,9 @@ _MOST_PULLED = 2.0
 _MIDDLE_SIGMA_M = 1.0
 _MIDDLE_SHARE = float(__import__("os").environ.get("MID","0.4"))
 _SHARE = float(__import__("os").environ.get("SHARE", "0.5"))
+_MORE_ROUNDS = 3
+_FOLDS = 6
+_NO_WEIGHT = 1e-9
 _NAMES = (
     "row_px row_m column_px place_m correlated_m correlation_time_s heave_m offset_m "
     "lasting_row_px lasting_column_px lasting_time_s"
@@ -262,21 +265,12 @@ def fit_camera(
     found.sort(key=lambda pair: pair[0])
     if everything.heaving and noise is None:
         assumed = replace(assumed, heave_m=_NOISE_CENTRE[-1])
-    estimated, best = assumed, None
     start = np.append(found[0][1], 0.0)
-    for _ in range(1 if noise is not None else _ROUNDS):
+    if noise is None:
+        best, estimated = problem.with_estimated_noise(start, assumed)
+    else:
         problem.expect_hull(start)
-        best = problem.refine(start, estimated)
-        if best is None:
-            break
-        start = best.vector
-        if noise is None:
-            try:
-                estimated = problem.estimate_noise(best, estimated)
-            except LinAlgError:
-                # The noise of the round before stands.
-                break
-    best = problem.refine(start, estimated)
+        best, estimated = problem.refine(start, noise), noise
     if best is None:
         raise FitError(_BEHIND)
     best.vector[HEADING] = np.mod(best.vector[HEADING], 2.0 * np.pi)
@@ -331,6 +325,7 @@ class _Problem:
         self.sightings = sightings
         self.image_size_px = image_size_px
         self.n_sources = n_sources
+        self.of_log = 0.0
         # Of each box's target, over that of a typical one.
         self.relative_size = np.ones(len(sightings))
         self.sizes: TargetSizes | None = None
@@ -546,7 +541,9 @@ class _Problem:
             out[held.size, self.layout.middle] = 1.0 / self.middle_sigma_m
         return np.concatenate([self.mean, np.zeros(size - self.size)]), out
 
-    def refine(self, start: FloatArray, noise: PixelNoise) -> _Refined | None:
+    def refine(
+        self, start: FloatArray, noise: PixelNoise, left_out: BoolArray | None = None
+    ) -> _Refined | None:
         """The nearest maximum of the posterior under all noise, that of the logs included.
 
         Gauss-Newton steps on whitened residuals. The correlated error, like that of single places,
@@ -565,7 +562,8 @@ class _Problem:
         # `summarise`.
         latent = np.where(self.timed[:, None], place_variance, 0.0)
         shift = np.zeros((len(self.sightings), 2))
-        weight = np.ones((len(self.sightings), 2))
+        absent = np.zeros(len(self.sightings), dtype=bool) if left_out is None else left_out
+        weight = np.where(absent[:, None], _NO_WEIGHT, np.ones((len(self.sightings), 2)))
         for _ in range(_MOST_STEPS):
             pixel, jacobian, by_point = self.project(vector, aspect, shift)
             if not (np.isfinite(pixel).all() and np.isfinite(jacobian).all()):
@@ -595,16 +593,99 @@ class _Problem:
             step /= max(1.0, np.abs(step / self.reach(vector.size)).max())
             left = both[:, :, -1:] - both[:, :, :-1] @ step[:, None]
             pull = whitening.backward(left)[:, :, 0]
-            drift, offset = whitening.correlated_error(pull)
-            shift = offset + _SHARE * drift
+            drift, offset, body = whitening.correlated_error(pull)
+            shift = offset + drift
+            if self.of_log:
+                shift += body + latent * np.einsum("nij,ni->nj", by_place, pull)
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
+            weight[absent] = _NO_WEIGHT
             vector = vector + step
             if (np.abs(step) < _ENOUGH * np.sqrt(np.diag(covariance))).all():
                 break
         if not self._ahead(vector):
             return None
         return _Refined(vector, shift, weight, standard)
+
+    def with_estimated_noise(
+        self, start: FloatArray, noise: PixelNoise
+    ) -> tuple[_Refined | None, PixelNoise]:
+        """The maximum of the posterior under noise that is estimated, and that noise.
+
+        Errors in metres that last a second or two are a target's gait, or its log's. Likelihood
+        does not tell which, and where derivatives are to be taken depends on it: where the log
+        says, or where the target was. Both are tried, and the one is kept by which targets that
+        were left out are placed better.
+        """
+        best, estimated = self.alternate(start, noise, _ROUNDS)
+        if best is None or not self.blocks:
+            return best, estimated
+        self.of_log = 1.0
+        other, of_other = self.alternate(best.vector, estimated, _MORE_ROUNDS)
+        if other is not None:
+            error_other = self.left_out_error(other, of_other)
+            self.of_log = 0.0
+            self.expect_hull(best.vector)
+            error = self.left_out_error(best, estimated)
+            if __import__("os").environ.get("VL"):
+                print("LEFT", round(error, 4), round(error_other, 4), end=" ")
+            if error_other < error:
+                self.of_log = 1.0
+                self.expect_hull(other.vector)
+                return other, of_other
+        self.of_log = 0.0
+        self.expect_hull(best.vector)
+        return best, estimated
+
+    def alternate(
+        self, start: FloatArray, noise: PixelNoise, rounds: int
+    ) -> tuple[_Refined | None, PixelNoise]:
+        """Parameters under the noise and noise under the parameters, in turn."""
+        best = None
+        for _ in range(rounds):
+            self.expect_hull(start)
+            best = self.refine(start, noise)
+            if best is None:
+                break
+            start = best.vector
+            try:
+                noise = self.estimate_noise(best, noise)
+            except LinAlgError:
+                # The noise of the round before stands.
+                break
+        return self.refine(start, noise), noise
+
+    def left_out_error(self, found: _Refined, noise: PixelNoise) -> float:
+        """Root mean square error of the places of targets that were left out, metres."""
+        s = self.sightings
+        logs = np.unique(s.log[self.boxes])
+        if logs.size < 2:
+            return 0.0
+        squares = []
+        for fold in range(min(_FOLDS, logs.size)):
+            left = self.boxes & np.isin(s.log, logs[fold::_FOLDS])
+            without = self.refine(found.vector, noise, left_out=left)
+            if without is None:
+                return np.inf
+            squares.append(self.squared_errors(without.vector, np.flatnonzero(left)))
+        return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+    def squared_errors(self, vector: FloatArray, rows: IntArray) -> FloatArray:
+        """(K,) squared errors of places, square metres; no more than half of the distance counts."""
+        s = self.sightings
+        camera = Camera.from_vector(vector[CAMERA], self.image_size_px)
+        bias = vector[self.layout.sources].reshape(-1, len(SOURCE_PARAMETERS))[s.source[rows]]
+        foot = s.pixel_px[rows] - np.stack([np.zeros(rows.size), bias[:, BIAS_PX]], axis=1)
+        east, north = camera.locate(foot, s.above_m[rows] + bias[:, BIAS_M])
+        at_east, at_north = self.place(vector)
+        off = np.stack([at_east[rows] - camera.east_m, at_north[rows] - camera.north_m])
+        distance = np.hypot(*off)
+        hull = (self.aspect(vector)[rows] @ vector[TARGET]) / distance
+        error = np.hypot(
+            east - at_east[rows] + hull * off[0], north - at_north[rows] + hull * off[1]
+        )
+        most = 0.5 * distance
+        return np.asarray(np.minimum(np.where(np.isfinite(error), error, most), most) ** 2)
 
     def reach(self, size: int) -> FloatArray:
         """(size,) the largest step of each parameter."""

@@ -331,23 +331,26 @@ class Whitening:
             out[block.rows] = solved.reshape(own.shape)
         return np.asarray(out)
 
-    def correlated_error(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def correlated_error(self, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Most probable errors of the log, metres, of `backward`'s (N, 2) residuals.
 
         Returns:
-            (N, 2) what drifts, and (N, 2) what is constant in a log.
+            (N, 2) what drifts, (N, 2) what is constant in a log, and (N, 2) what lasts in a box.
         """
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
-        drift, offset = np.zeros_like(pulled), np.zeros_like(pulled)
+        drift, offset, body = (np.zeros_like(pulled) for _ in range(3))
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
             own = kernel if block.gap_m2 is None else kernel + block.gap_m2
             drift[block.rows] = own @ pulled[block.rows]
+            body[block.rows] = (
+                self._noise.lasting_m**2 * self._lasting_kernel(block) @ pulled[block.rows]
+            )
             offset[block.rows] = self._noise.offset_m**2 * pulled[block.rows].sum(axis=0)
             if self._half_lengths_m is not None:
                 ahead = float(np.vdot(self._by_antenna[block.rows], weights[block.rows]))
                 ahead *= self._noise.antenna_share**2
                 offset[block.rows] += ahead * self._half_lengths_m[block.rows]
-        return drift, offset
+        return drift, offset, body
 
     def log_determinant(self) -> float:
         """Half the logarithm of the determinant of the covariance."""
