@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,14 +36,71 @@ ANY_ASPECT = 2.0 / np.pi
 """The mean of ``|cos|`` and of ``|sin|`` of the aspect, for a target that may head anywhere."""
 
 
-# Medians of the parts of `PixelNoise` before any data, and standard deviations of their logarithms.
-_NOISE_CENTRE = (1.0, 0.15, 2.0, 0.7, 1.0, 20.0, 0.15)
+@dataclass(frozen=True)
+class NoisePrior:
+    """Prior of one part of `PixelNoise`: log-normal, or exponential.
+
+    The exponential is a penalised complexity prior (Simpson et al. 2017): a part that nothing asks
+    for goes to zero. Where a part is there for sure, however small, the prior keeps away from zero
+    (Chung et al. 2013), since the likelihood of a handful of targets often has its mode there.
+
+    Attributes:
+        typical: Median of a log-normal, mean of an exponential one.
+        log_sigma: Standard deviation of the logarithm; 0 for an exponential.
+        positive: Whether it keeps away from zero.
+    """
+
+    typical: float
+    log_sigma: float = 0.0
+    positive: bool = False
+
+    def penalty(self, log: float) -> tuple[float, float]:
+        """Negative logarithm of the density at the logarithm of a value, and its derivative."""
+        if self.log_sigma > 0.0:
+            belief = (log - math.log(self.typical)) / self.log_sigma
+            return 0.5 * belief**2, belief / self.log_sigma
+        share = math.exp(log) / self.typical
+        return (share - log, share - 1.0) if self.positive else (share, share)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Least and largest logarithm."""
+        reach = 4.0 * self.log_sigma or _EXPONENTIAL_REACH
+        return math.log(self.typical) - reach, math.log(self.typical) + reach
+
+    def start(self, value: float) -> float:
+        """Logarithm from which a search may begin, near a value."""
+        low, high = self.bounds
+        log = math.log(value if value > 0.0 else _START_SHARE * self.typical)
+        # At a bound a part of no size has no slope, and would stay there.
+        return min(max(log, low + _INSIDE), high - _INSIDE)
 
 
-HEAVE_M = _NOISE_CENTRE[-1]
+_EXPONENTIAL_REACH, _START_SHARE, _INSIDE = 6.0, 0.3, 0.7
+
+HEAVE_M = 0.15
 """Median of the heave of a camera on a vessel before any data, metres."""
 
-_NOISE_WIDTH = (0.7, 1.0, 0.7, 1.0, 0.7, 0.5, 1.0)
+NOISE_PRIORS = {
+    # Drawn and detected boxes differ by a pixel or two, and by more in their columns.
+    "row_px": NoisePrior(1.0, 0.7),
+    "column_px": NoisePrior(2.0, 0.7),
+    "row_m": NoisePrior(1.0),
+    "place_m": NoisePrior(1.0),
+    # A phone's receiver is some metres off, for half a minute or for as long as it is watched.
+    "correlated_m": NoisePrior(3.0),
+    "correlation_time_s": NoisePrior(20.0, 0.5),
+    "offset_m": NoisePrior(3.0, positive=True),
+    # Of half a length: a receiver stands anywhere on its boat.
+    "antenna_share": NoisePrior(0.3, 0.7),
+    # A step, a swell, a wake: a second or two.
+    "lasting_m": NoisePrior(1.0, positive=True),
+    "lasting_row_px": NoisePrior(1.0),
+    "lasting_column_px": NoisePrior(1.0),
+    "lasting_time_s": NoisePrior(2.0, 1.0),
+    "heave_m": NoisePrior(HEAVE_M, 1.0),
+}
+"""Priors of the parts of `PixelNoise` that are estimated, by their names."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +144,7 @@ class CameraPrior:
     half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
     principal_sigma_widths: float = 0.02
-    curvature: tuple[float, float] = (6.0 / 7.0, float(__import__("os").environ.get("CURV","0.5")))
+    curvature: tuple[float, float] = (6.0 / 7.0, 0.5)
     bias_px: float = 0.0
     bias_px_sigma: float = 2.0
     bias_m_sigma: float = 0.3

@@ -30,7 +30,13 @@ from sightline.camera.pinhole import (
     Camera,
     locate_with_jacobian,
 )
-from sightline.camera.priors import ANY_ASPECT, ANY_ASPECT_SPREAD, CameraPrior, PixelNoise, SourcePrior
+from sightline.camera.priors import (
+    ANY_ASPECT,
+    ANY_ASPECT_SPREAD,
+    CameraPrior,
+    PixelNoise,
+    SourcePrior,
+)
 from sightline.camera.target_sizes import TargetSizes
 from sightline.georeferencing.model_file import numbers_of_shape
 from sightline.georeferencing.observations import CameraObservations
@@ -53,7 +59,6 @@ UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
 
-GSE = float(__import__("os").environ.get("GSE", "1"))
 # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
@@ -491,6 +496,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return
         speed = np.hypot(*observations.velocity_mps.T)[:, None]
         ahead_m = self.half_m[0] * observations.velocity_mps / np.maximum(speed, 1e-9)
+
         def learn(axis: int) -> ResidualProcess:
             along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
             log_error = CorrelatedError(
@@ -516,10 +522,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
 
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
-        gains = [p.gain() for p in (self.range_process_, self.bearing_process_)]
-        if __import__("os").environ.get("VG"):
-            print("GAIN", [(round(a, 3), round(b, 3)) for a, b in gains])
-        if gains[0][0] <= GSE * gains[0][1]:
+        # A process that places what was left out worse, by more than chance, is none.
+        gain, error = self.range_process_.gain()
+        if gain < -error:
             self.range_process_ = self.bearing_process_ = None
 
     def without_residual(self) -> Self:
