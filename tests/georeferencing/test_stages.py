@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.camera.calibration import CameraFit, _Problem
+from sightline.camera.calibration import CameraFit, MixedModel
 from sightline.camera.parameters import HEADING, LOG_FOCAL, LOG_HEIGHT, PITCH
 from sightline.camera.priors import PixelNoise
 from sightline.errors import FitError
@@ -195,19 +195,19 @@ def test_noise_that_runs_away_is_not_kept(
     bound = replace(bound, correlation_time_s=150.0)
     estimates: list[PixelNoise] = []
 
-    def runs_away(self: _Problem, found: object, before: PixelNoise) -> PixelNoise:
+    def runs_away(self: MixedModel, found: object, before: PixelNoise) -> PixelNoise:
         estimates.append(before)
         return bound
 
-    def to_nonsense(self: _Problem, start: FloatArray, noise: PixelNoise) -> object:
+    def to_nonsense(self: MixedModel, start: FloatArray, noise: PixelNoise) -> object:
         found = plain(self, start, noise)
         if found is not None and noise is bound:
             found.vector[LOG_HEIGHT] -= 1.5
         return found
 
-    plain = _Problem.refine
-    monkeypatch.setattr(_Problem, "estimate_noise", runs_away)
-    monkeypatch.setattr(_Problem, "refine", to_nonsense)
+    plain = MixedModel.refine
+    monkeypatch.setattr(MixedModel, "estimate_noise", runs_away)
+    monkeypatch.setattr(MixedModel, "refine", to_nonsense)
     model = fit(world.inputs(world.log), FitSettings(model="camera+gpr"))
     assert estimates
     assert world.rmse_m(model) < 1.3 * world.rmse_m(clean)
@@ -217,10 +217,10 @@ def test_noise_that_runs_away_is_not_kept(
 def test_a_fit_that_breaks_off_leaves_the_first_solution(
     world: World, clean: Georeferencer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def breaks_off(self: _Problem, found: object, before: PixelNoise) -> PixelNoise:
+    def breaks_off(self: MixedModel, found: object, before: PixelNoise) -> PixelNoise:
         raise np.linalg.LinAlgError("7-th leading minor of the array is not positive definite")
 
-    monkeypatch.setattr(_Problem, "estimate_noise", breaks_off)
+    monkeypatch.setattr(MixedModel, "estimate_noise", breaks_off)
     model = fit(world.inputs(world.log), FitSettings(model="camera+gpr"))
     assert world.rmse_m(model) < 1.3 * world.rmse_m(clean)
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.camera.calibration import CameraFitSettings, _Problem, fit_camera
+from sightline.camera.calibration import CameraFitSettings, fit_camera
+from sightline.camera.mixed_model import MixedModel
 from sightline.camera.observations import Landmarks, PointCorrespondences
 from sightline.camera.priors import CameraPrior, PixelNoise, SourcePrior
 from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, ClockOffset, ClockPrior
@@ -328,7 +329,7 @@ class _Search:
                 break
         return one
 
-    def _judged(self, problem: _Problem, vector: FloatArray, offset_s: FloatArray) -> _Candidate:
+    def _judged(self, problem: MixedModel, vector: FloatArray, offset_s: FloatArray) -> _Candidate:
         """A candidate, scored; a clock's own parameter is what is to be added to it."""
         moved_s = offset_s.copy()
         moved_s[problem.clock_groups] -= vector[problem.layout.clocks]
@@ -354,7 +355,7 @@ class _Search:
         missing = self.recordings[index].asked - matched
         return missing * float(_loss(np.array(_UNMATCHED)))
 
-    def _cost(self, problem: _Problem, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _cost(self, problem: MixedModel, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N,) squared standardised residuals and what each costs, in nats."""
         aspect = problem.aspect(vector)
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -374,9 +375,9 @@ class _Search:
 
     def _problem(
         self, sightings: PointCorrespondences, offset_s: FloatArray | None = None
-    ) -> _Problem:
+    ) -> MixedModel:
         b = self.beliefs
-        problem = _Problem(
+        problem = MixedModel(
             sightings,
             b.image_size_px,
             b.n_sources,
