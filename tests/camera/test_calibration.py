@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sightline.camera.calibration import CameraFit, CameraFitSettings, _Problem, fit_camera
+from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
+from sightline.camera.mixed_model import MixedModel
 from sightline.camera.observations import PointCorrespondences
 from sightline.camera.parameters import (
     CAMERA,
@@ -694,8 +695,8 @@ def test_logs_of_something_further_away_do_not_become_a_habit_of_the_place() -> 
         assert off[1] < 1.2 * off[0] < 0.12
 
 
-def problem_of(world: World, *, position_known: bool) -> _Problem:
-    return _Problem(world.sightings, SIZE, 1, CameraPrior(), position_known, None)
+def problem_of(world: World, *, position_known: bool) -> MixedModel:
+    return MixedModel(world.sightings, SIZE, 1, CameraPrior(), position_known, None)
 
 
 def test_a_camera_whose_place_is_unknown_is_sought_all_around_the_targets() -> None:
@@ -733,7 +734,7 @@ def test_a_camera_with_its_back_to_most_targets_is_no_solution(
         world.sightings.north_m - world.camera.north_m
     )
     assert (np.mean(forward > 0.0) > 0.9) == ahead
-    assert problem._ahead(vector) == ahead
+    assert problem.ahead(vector) == ahead
 
 
 def test_the_first_start_looks_where_the_camera_looked() -> None:

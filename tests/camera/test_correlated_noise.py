@@ -12,23 +12,39 @@ from sightline.camera.correlated_noise import (
     HEAVE_CORRELATION_TIME_S,
     LONGEST_BLOCK_S,
     MOST_IN_BLOCK,
-    LogError,
+    CorrelatedError,
     Whitening,
     blocks_of,
     gap_covariance,
     thinned,
 )
 from sightline.camera.parameters import LOG_FOCAL, PITCH
+from sightline.camera.priors import PixelNoise
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.observations import CameraObservations
 from sightline.types import FloatArray
 
-DRIFT_M, DRIFT_S = 1.5, 20.0
+NOISE = PixelNoise(
+    correlated_m=1.5,
+    correlation_time_s=20.0,
+    offset_m=0.8,
+    antenna_share=0.3,
+    lasting_m=0.5,
+    lasting_row_px=1.2,
+    lasting_column_px=2.1,
+    lasting_time_s=3.0,
+    heave_m=0.3,
+)
+PARTS = tuple(
+    name
+    for name in NOISE.__dataclass_fields__
+    if name not in ("row_px", "row_m", "column_px", "place_m", "middle_m")
+)
 
 
 class World:
-    """PointCorrespondences of two recordings and two without a time, and the covariance of their
-    pixels."""
+    """Point correspondences of two recordings and two without a time, and the covariance of their
+    pixels, summed pair by pair."""
 
     def __init__(self, seed: int = 0, *, gaps: bool = False) -> None:
         rng = np.random.default_rng(seed)
@@ -42,46 +58,60 @@ class World:
         self.gap_s = np.stack([begin, begin + 20.0], axis=1)
         own = rng.uniform(2.0, 6.0, 11)
         self.sigma_m = np.where((self.group == 0) & np.isfinite(begin) & gaps, own, 0.0)
+        self.by_height = rng.normal(0.0, 8.0, (11, 2))
+        self.half_lengths_m = rng.normal(0.0, 3.0, (11, 2))
 
-    def kernel(
-        self, correlated_m: float = DRIFT_M, correlation_time_s: float = DRIFT_S
-    ) -> FloatArray:
-        """(11, 11) of the correlated error, one pair of sightings after the other."""
-        out = np.zeros((11, 11))
-        for i in range(11):
-            for j in range(11):
-                if self.group[i] == self.group[j] and i < 9 and j < 9:
-                    apart = np.sqrt((self.time_s[i] - self.time_s[j]) ** 2 + 1.0) - 1.0
-                    out[i, j] = correlated_m**2 * np.exp(-apart / correlation_time_s)
-                    if self.gap_s[i, 0] == self.gap_s[j, 0]:
-                        strays = (self.time_s[i] - self.time_s[j]) / (0.42 * 20.0)
-                        out[i, j] += self.sigma_m[i] * self.sigma_m[j] * np.exp(-0.5 * strays**2)
-        return out
+    def drift(self, i: int, j: int, noise: PixelNoise) -> float:
+        """Covariance of two places on the lines between fixes, whose errors decay with time."""
+        total = 0.0
+        for one in (0, 1):
+            for other in (0, 1):
+                share = 1.0
+                for box, side in ((i, one), (j, other)):
+                    late = (self.time_s[box] - self.gap_s[box, 0]) / 20.0
+                    share *= late if side else 1.0 - late
+                apart = abs(self.gap_s[i, one] - self.gap_s[j, other])
+                total += share * np.exp(-apart / noise.correlation_time_s)
+        return float(noise.correlated_m**2 * total)
 
-    def covariance(
-        self,
-        variance_px2: FloatArray,
-        correlated_m: float = DRIFT_M,
-        correlation_time_s: float = DRIFT_S,
-    ) -> FloatArray:
+    def strays(self, i: int, j: int) -> float:
+        """Covariance of two places that gaps make."""
+        if self.gap_s[i, 0] != self.gap_s[j, 0]:
+            return 0.0
+        off = (self.time_s[i] - self.time_s[j]) / (0.42 * 20.0)
+        return float(self.sigma_m[i] * self.sigma_m[j] * np.exp(-0.5 * off**2))
+
+    def pair(self, i: int, j: int, noise: PixelNoise) -> FloatArray:
+        """(2, 2) covariance of column and row of two boxes of one log."""
+        lag = abs(self.time_s[i] - self.time_s[j])
+        lasting = np.exp(-lag / noise.lasting_time_s)
+        metres = self.drift(i, j, noise) + self.strays(i, j)
+        metres += noise.offset_m**2 + noise.lasting_m**2 * lasting
+        out = metres * self.by_place[i] @ self.by_place[j].T
+        out += np.diag([noise.lasting_column_px**2, noise.lasting_row_px**2]) * lasting
+        ahead = [self.by_place[k] @ self.half_lengths_m[k] for k in (i, j)]
+        out += noise.antenna_share**2 * np.outer(*ahead)
+        heave = noise.heave_m**2 * np.exp(-lag / HEAVE_CORRELATION_TIME_S)
+        out += heave * np.outer(self.by_height[i], self.by_height[j])
+        return np.asarray(out)
+
+    def covariance(self, variance_px2: FloatArray, noise: PixelNoise = NOISE) -> FloatArray:
         """(22, 22) of columns and rows, box by box."""
-        shared = np.einsum(
-            "iab,ij,jcb->iajc",
-            self.by_place,
-            self.kernel(correlated_m, correlation_time_s),
-            self.by_place,
-        )
-        return shared.reshape(22, 22) + np.diag(variance_px2.ravel())
+        out = np.zeros((11, 2, 11, 2))
+        for i in range(9):
+            for j in range(9):
+                if self.group[i] == self.group[j]:
+                    out[i, :, j] = self.pair(i, j, noise)
+        return out.reshape(22, 22) + np.diag(variance_px2.ravel())
 
-    def whitening(
-        self, correlated_m: float = DRIFT_M, correlation_time_s: float = DRIFT_S
-    ) -> Whitening:
+    def whitening(self, noise: PixelNoise = NOISE) -> Whitening:
         return Whitening(
             blocks_of(self.time_s, self.group, self.sigma_m, self.gap_s),
             self.variance_px2,
             self.by_place,
-            correlated_m,
-            correlation_time_s,
+            noise,
+            self.by_height,
+            self.half_lengths_m,
         )
 
 
@@ -96,14 +126,27 @@ def test_residuals_become_independent_of_unit_variance(gaps: bool) -> None:
 
 
 @pytest.mark.parametrize("gaps", [False, True])
-def test_the_likeliest_error_is_the_conditional_mean(gaps: bool) -> None:
+def test_the_likeliest_errors_are_conditional_means(gaps: bool) -> None:
+    """Of the drift of a log with its gaps, of its offset and its antenna's, and of a box's."""
     world = World(gaps=gaps)
     whitening = world.whitening()
     pulled = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))[:, :, 0]
     solved = np.linalg.solve(world.covariance(world.variance_px2), world.pixel_px.ravel())
     np.testing.assert_allclose(pulled.ravel(), solved, rtol=1e-9)
-    expected = np.einsum("ij,jab,ja->ib", world.kernel(), world.by_place, solved.reshape(11, 2))
-    np.testing.assert_allclose(whitening.correlated_error(pulled), expected, rtol=1e-9, atol=1e-12)
+    expected = np.zeros((3, 11, 2))
+    for i in range(9):
+        for j in range(9):
+            if world.group[i] != world.group[j]:
+                continue
+            metres = world.by_place[j].T @ solved.reshape(11, 2)[j]
+            lag = abs(world.time_s[i] - world.time_s[j])
+            expected[0, i] += (world.drift(i, j, NOISE) + world.strays(i, j)) * metres
+            expected[1, i] += NOISE.offset_m**2 * metres
+            half = [world.half_lengths_m[k] for k in (i, j)]
+            expected[1, i] += NOISE.antenna_share**2 * half[0] * (half[1] @ metres)
+            expected[2, i] += NOISE.lasting_m**2 * np.exp(-lag / NOISE.lasting_time_s) * metres
+    for found, right in zip(whitening.correlated_error(pulled), expected, strict=True):
+        np.testing.assert_allclose(found, right, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("gaps", [False, True])
@@ -112,11 +155,9 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out(gaps:
     design = np.random.default_rng(5).normal(0.0, 3.0, (11, 2, 3))
     flat = design.reshape(22, 3)
 
-    def negative_log(variance: FloatArray, correlated_m: float, correlation_time_s: float) -> float:
-        covariance = (
-            world.covariance(variance.reshape(11, 2), correlated_m, correlation_time_s)
-            + flat @ flat.T
-        )
+    def negative_log(variance: FloatArray, logs: FloatArray) -> float:
+        noise = replace(NOISE, **dict(zip(PARTS, np.exp(logs).tolist(), strict=True)))
+        covariance = world.covariance(variance.reshape(11, 2), noise) + flat @ flat.T
         return -float(multivariate_normal(cov=covariance).logpdf(world.pixel_px.ravel()))
 
     whitening = world.whitening()
@@ -125,15 +166,22 @@ def test_slopes_are_those_of_the_likelihood_with_parameters_integrated_out(gaps:
     covariance = np.linalg.inv(table[:, :3].T @ table[:, :3] + np.eye(3))
     step = covariance @ table[:, :3].T @ table[:, 3]
     solved = whitening.backward(white)
-    by_variance, by_size, by_length, _ = whitening.gradient(
-        solved[:, :, 3] - solved[:, :, :3] @ step, solved[:, :, :3], covariance, DRIFT_S
+    by_variance, by_part = whitening.gradient(
+        solved[:, :, 3] - solved[:, :, :3] @ step, solved[:, :, :3], covariance
     )
-    given = world.variance_px2.ravel()
-    expected = approx_fprime(given, lambda v: negative_log(v, DRIFT_M, DRIFT_S), 1e-6)
+    given, logs = world.variance_px2.ravel(), np.log([getattr(NOISE, name) for name in PARTS])
+    expected = approx_fprime(given, lambda v: negative_log(v, logs), 1e-6)
     np.testing.assert_allclose(by_variance.ravel(), expected, atol=1e-4)
-    logs = np.log([DRIFT_M, DRIFT_S])
-    expected = approx_fprime(logs, lambda t: negative_log(given, *np.exp(t)), 1e-6)
-    np.testing.assert_allclose([by_size, by_length], expected, atol=1e-4)
+    expected = approx_fprime(logs, lambda t: negative_log(given, t), 1e-6)
+    np.testing.assert_allclose([by_part[name] for name in PARTS], expected, atol=1e-4)
+
+
+def test_where_no_fixes_are_known_a_log_errs_at_the_times_of_its_boxes() -> None:
+    world = World()
+    block = blocks_of(world.time_s, world.group)[0]
+    own = world.time_s[block.rows]
+    expected = np.exp(-np.abs(own[:, None] - own[None, :]) / 20.0)
+    np.testing.assert_allclose(block.log_kernel(20.0), expected)
 
 
 def test_what_a_vessel_does_in_a_gap_is_half_alike_at_half_a_gap() -> None:
@@ -164,10 +212,31 @@ def test_what_a_vessel_does_in_a_gap_is_half_alike_at_half_a_gap() -> None:
     assert two[0, 1] == 0.0
 
 
-def test_a_coordinate_sees_its_share_of_the_error() -> None:
+def test_a_coordinate_sees_its_share_of_the_errors() -> None:
+    """What logs and boxes have in common a moment later, in one coordinate of the place."""
     world = World()
-    error = LogError(world.time_s, world.by_place[:, 0], world.group, DRIFT_M, DRIFT_S)
-    expected = world.covariance(np.zeros((11, 2)))[::2, ::2]
+    rng = np.random.default_rng(3)
+    by_pixel, hull = rng.normal(0.0, 1.0, (11, 2)), rng.uniform(0.1, 0.5, 11)
+    direction, aboard = rng.normal(0.0, 1.0, (11, 2)), rng.normal(0.0, 1.0, 11)
+    error = CorrelatedError(
+        world.time_s, world.group, NOISE, direction, by_pixel, aboard, hull, by_heave=0.2
+    )
+    expected = np.zeros((11, 11))
+    for i in range(9):
+        for j in range(9):
+            if world.group[i] != world.group[j]:
+                continue
+            # Smooth below a second, since fixes come a second apart and are interpolated.
+            lag = np.sqrt((world.time_s[i] - world.time_s[j]) ** 2 + 1.0) - 1.0
+            lasting = np.exp(-lag / NOISE.lasting_time_s)
+            metres = NOISE.correlated_m**2 * np.exp(-lag / NOISE.correlation_time_s)
+            metres += NOISE.offset_m**2 + NOISE.lasting_m**2 * lasting
+            pixels = NOISE.lasting_column_px**2 * by_pixel[i, 0] * by_pixel[j, 0]
+            pixels += NOISE.lasting_row_px**2 * by_pixel[i, 1] * by_pixel[j, 1]
+            expected[i, j] = metres * (direction[i] @ direction[j]) + lasting * pixels
+            expected[i, j] += NOISE.antenna_share**2 * aboard[i] * aboard[j] + hull[i] * hull[j]
+            heave = (0.2 * NOISE.heave_m) ** 2
+            expected[i, j] += heave * np.exp(-lag / HEAVE_CORRELATION_TIME_S)
     np.testing.assert_allclose(error.covariance(), expected, rtol=1e-12, atol=1e-12)
     some = np.array([1, 4, 6, 10])
     np.testing.assert_allclose(error[some].covariance(), expected[np.ix_(some, some)], rtol=1e-12)
@@ -230,49 +299,3 @@ def test_a_longer_log_tells_more_however_fast_it_comes() -> None:
     # Two logs at once are two logs, each with as many.
     both = thinned(np.tile(time, 2), np.repeat([0, 1], time.size))
     assert both.size == 2 * chosen.size
-
-
-HEAVE_M = 0.3
-
-
-def heaving(world: World, heave_m: float = HEAVE_M) -> tuple[FloatArray, FloatArray]:
-    """(11, 2) pixels a metre of height, and the covariance (22, 22) that the heave adds."""
-    by_height = np.random.default_rng(11).normal(0.0, 8.0, (11, 2))
-    kernel = world.kernel(heave_m, HEAVE_CORRELATION_TIME_S)
-    return by_height, np.einsum("ia,ij,jc->iajc", by_height, kernel, by_height).reshape(22, 22)
-
-
-def test_heave_is_another_error_that_lasts() -> None:
-    world = World()
-    by_height, added = heaving(world)
-    whitening = Whitening(
-        *(blocks_of(world.time_s, world.group), world.variance_px2, world.by_place),
-        *(DRIFT_M, DRIFT_S, by_height, HEAVE_M),
-    )
-    covariance = world.covariance(world.variance_px2) + added
-    made = whitening.forward(np.eye(22).reshape(11, 2, 22)).reshape(22, 22)
-    np.testing.assert_allclose(made @ covariance @ made.T, np.eye(22), atol=1e-10)
-
-    def negative_log(logs: FloatArray) -> float:
-        heave_m, correlated_m = np.exp(logs)
-        total = world.covariance(world.variance_px2, correlated_m) + heaving(world, heave_m)[1]
-        return -float(multivariate_normal(cov=total).logpdf(world.pixel_px.ravel()))
-
-    solved = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))
-    nothing = np.zeros((11, 2, 1))
-    _, by_size, _, by_heave = whitening.gradient(
-        solved[:, :, 0], nothing, np.zeros((1, 1)), DRIFT_S
-    )
-    expected = approx_fprime(np.log([HEAVE_M, DRIFT_M]), negative_log, 1e-6)
-    np.testing.assert_allclose([by_heave, by_size], expected, rtol=1e-3, atol=1e-4)
-
-
-def test_heave_moves_ranges_of_a_recording_together() -> None:
-    world = World()
-    plain = LogError(world.time_s, world.by_place[:, 0], world.group, DRIFT_M, DRIFT_S)
-    lifted = replace(plain, heave=0.05)
-    np.testing.assert_allclose(
-        lifted.covariance() - plain.covariance(),
-        world.kernel(0.05, HEAVE_CORRELATION_TIME_S),
-        atol=1e-12,
-    )

@@ -15,6 +15,7 @@ from sightline.camera.parameters import (
     HALF_LENGTH,
     PARAMETERS,
     POSITION,
+    PRINCIPAL,
     TARGET,
     TARGET_PARAMETERS,
     ParameterLayout,
@@ -45,7 +46,8 @@ def test_slots_of_single_parameters_lie_in_those_of_their_part() -> None:
     layout = ParameterLayout(2, 3)
     slots = np.arange(layout.size)
     np.testing.assert_array_equal(slots[TARGET], [HALF_LENGTH, HALF_BEAM])
-    np.testing.assert_array_equal(slots[POSITION], slots[CAMERA][-2:])
+    np.testing.assert_array_equal(slots[POSITION], slots[CAMERA][[7, 8]])
+    np.testing.assert_array_equal(slots[PRINCIPAL], slots[CAMERA][[9, 10]])
     for index in range(2):
         own = [layout.bias_px(index), layout.bias_m(index)]
         np.testing.assert_array_equal(slots[layout.source(index)], own)
@@ -60,12 +62,13 @@ def test_slots_of_the_camera_have_the_names_of_its_parameters() -> None:
     for slot, name in enumerate(PARAMETERS):
         field, _, unit = name.partition("_")
         prefix = "log_" if (field, unit) in (("height", "m"), ("focal", "px")) else ""
-        assert getattr(parameters, f"{prefix}{field}".upper()) == slot
+        short = name.removesuffix("_px") if field == "principal" else f"{prefix}{field}"
+        assert getattr(parameters, short.upper()) == slot
 
 
 def test_a_camera_is_zero_where_nothing_else_is_said() -> None:
     found = camera_vector({parameters.K1: -0.1, parameters.NORTH: 3.0})
-    np.testing.assert_array_equal(found, [0, 0, 0, 0, 0, -0.1, 0, 0, 3.0])
+    np.testing.assert_array_equal(found, [0, 0, 0, 0, 0, -0.1, 0, 0, 3.0, 0, 0, 0])
 
 
 def test_beliefs_about_a_source_and_a_clock_lie_in_their_slots() -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.camera.calibration import CameraFit, MixedModel
+from sightline.camera.calibration import CameraFit
+from sightline.camera.mixed_model import MixedModel
 from sightline.camera.parameters import HEADING, LOG_FOCAL, LOG_HEIGHT, PITCH
 from sightline.camera.priors import PixelNoise
 from sightline.errors import FitError
