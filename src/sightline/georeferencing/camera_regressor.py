@@ -423,7 +423,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             along += own_along
             across += own_across
             mixed = mixed + seen.noise_mixed
+            alike_mixed = seen.lasting_mixed
         else:
+            alike_mixed = np.zeros_like(mixed)
             rows = slice(None) if known.all() else known
             near = seen[rows]
             inputs = self._inputs(boxes[rows], near, source)
@@ -447,10 +449,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         places[:, 1] = self.camera_.north_m + distance * cosine
         _turn(along, across, mixed, sine, cosine, covariance)
         if shared.size:
+            # Of the box's noise, the part that a moment later is the same.
+            alike = seen.lasting / seen.noise
             _turn(
-                along - own_along + seen.lasting[0],
-                across - own_across + seen.lasting[1],
-                seen.moved_mixed + seen.lasting_mixed,
+                along - own_along * (1.0 - alike[0]),
+                across - own_across * (1.0 - alike[1]),
+                seen.moved_mixed + alike_mixed,
                 sine,
                 cosine,
                 shared,
