@@ -13,6 +13,7 @@ from sightline.camera.parameters import (
     CAMERA,
     HEADING,
     LOG_FOCAL,
+    NORTH,
     PARAMETERS,
     PITCH,
     POSITION,
@@ -592,7 +593,7 @@ def test_the_same_boxes_again_in_the_same_recording_tell_nothing_new() -> None:
                     noise=replace(NOISE, correlated_m=0.0),
                     settings=QUICK,
                 ).covariance
-            )[: len(PARAMETERS)]
+            )[: NORTH + 1]
         )
         for sightings in (once, twice, replace(twice, group=others, log=others))
     ]
