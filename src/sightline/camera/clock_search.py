@@ -87,6 +87,8 @@ class CameraBeliefs:
         sources: Priors of single sources.
         landmarks: Control points and landmarks.
         settings: How the camera is fitted.
+        noise: Of a box's foot, by which a camera explains the boxes or does not. The search itself
+            is by the usual noise: a wider one lets wrong clocks pass.
     """
 
     image_size_px: tuple[int, int]
@@ -95,6 +97,7 @@ class CameraBeliefs:
     sources: Mapping[int, SourcePrior] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     settings: CameraFitSettings = field(default_factory=CameraFitSettings)
+    noise: PixelNoise = field(default_factory=PixelNoise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +141,9 @@ def search_clocks(
     # Where no camera explains the boxes, none can tell how late they are.
     return [
         told if median < _GOOD else _believed(one.prior)
-        for one, told, median in zip(recordings, search.refined(best), best.median, strict=True)
+        for one, told, median in zip(
+            recordings, search.refined(best), search.explained(best), strict=True
+        )
     ]
 
 
@@ -337,29 +342,46 @@ class _Search:
         clocks = np.zeros(problem.size, dtype=bool)
         clocks[problem.layout.clocks] = True
         score = -0.5 * float(np.sum(off[~clocks[problem.held]] ** 2))
-        median = np.zeros(len(self.recordings))
         group = problem.sightings.group
         for index, recording in enumerate(self.recordings):
             rows = group == index
-            missing = recording.asked - int(rows.sum())
             cost_here = cost[rows].sum() + self._unmatched(index, int(rows.sum()))
             score += recording.prior.log_density(float(moved_s[index]))
             score -= recording.weight * float(cost_here)
-            # Logs have gaps; only where most boxes have no place is the clock to blame.
-            median[index] = np.median(square[rows]) if rows.sum() >= missing else np.inf
         score -= float(cost[group >= len(self.recordings)].sum())
-        return _Candidate(moved_s, vector[: problem.layout.clocks.start].copy(), score, median)
+        shape = vector[: problem.layout.clocks.start].copy()
+        return _Candidate(moved_s, shape, score, self._medians(problem, square))
+
+    def _medians(self, problem: _Problem, square: FloatArray) -> FloatArray:
+        """(R,) `_Candidate.median` of squared standardised residuals (N,)."""
+        median = np.full(len(self.recordings), np.inf)
+        for index, recording in enumerate(self.recordings):
+            rows = problem.sightings.group == index
+            # Logs have gaps; only where most boxes have no place is the clock to blame.
+            if rows.sum() >= recording.asked - rows.sum():
+                median[index] = np.median(square[rows])
+        return median
+
+    def explained(self, one: _Candidate) -> FloatArray:
+        """(R,) `_Candidate.median`, by the noise that is believed."""
+        if self.beliefs.noise == self.noise:
+            return one.median
+        problem = self._problem(self._sightings(one.offset_s))
+        vector = np.append(one.shape, np.zeros(problem.clock_groups.size))
+        return self._medians(problem, self._cost(problem, vector, self.beliefs.noise)[0])
 
     def _unmatched(self, index: int, matched: int) -> float:
         missing = self.recordings[index].asked - matched
         return missing * float(_loss(np.array(_UNMATCHED)))
 
-    def _cost(self, problem: _Problem, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _cost(
+        self, problem: _Problem, vector: FloatArray, noise: PixelNoise | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """(N,) squared standardised residuals and what each costs, in nats."""
-        aspect = problem.aspect(vector)
+        aspect, noise = problem.aspect(vector), noise or self.noise
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             pixel = problem.project(vector, aspect)[0]
-            standard = (problem.sightings.pixel_px - pixel) / problem.sigmas(vector, self.noise)
+            standard = (problem.sightings.pixel_px - pixel) / problem.sigmas(vector, noise)
             square = np.sum(standard**2, axis=1)
         square = np.where(np.isfinite(square), np.minimum(square, _LARGEST), _LARGEST)
         return square, _loss(square)
