@@ -136,6 +136,30 @@ def error_m(made: Track, scene: Scene, name: str) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
+@pytest.mark.parametrize("seed", [21, 31])
+@pytest.mark.parametrize("offset_s", [-58.0, -40.0, 40.0])
+def test_a_clock_is_found_though_the_log_is_no_longer_than_its_recording(
+    tmp_path: Path, offset_s: float, seed: int
+) -> None:
+    """By the camera's own clock most boxes have no place, and the few lie where others are."""
+    both = {"01": offset_s, "02": offset_s}
+    scene = drawn_scene(tmp_path, both, seed=seed, duration_s=60.0, margin_s=5.0)
+    for recording in settled(scene).recordings:
+        clock = recording.clock_found
+        assert clock is not None
+        assert clock.used_s == clock.offset_s
+        assert abs(clock.offset_s - offset_s) < 3.0 * clock.sigma_s
+
+
+@pytest.mark.parametrize("seed", [21, 31])
+def test_a_log_of_part_of_a_recording_makes_its_clock_no_other(tmp_path: Path, seed: int) -> None:
+    """Negative: as much shorter than the recording at either end."""
+    scene = drawn_scene(
+        tmp_path, {"01": 0.0, "02": 0.0}, seed=seed, duration_s=60.0, margin_s=-19.0
+    )
+    assert [one.clock_offset_s for one in settled(scene).recordings] == [0.0, 0.0]
+
+
 @pytest.mark.slow
 def test_a_run_writes_and_scores_tracks_in_the_logs_time(tmp_path: Path, right: Scene) -> None:
     scene = drawn_scene(tmp_path, {"01": 40.0, "02": 40.0}, duration_s=60.0)

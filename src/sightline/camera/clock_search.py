@@ -188,8 +188,9 @@ class _Search:
         return best
 
     def _good(self, one: _Candidate, limit: float) -> bool:
-        """Whether a camera explains the boxes that have places at its clocks."""
-        return bool((one.median[np.isfinite(one.median)] < limit).all())
+        """Whether a camera explains the boxes that have places at its clocks, where most have."""
+        told = one.median[np.isfinite(one.median)]
+        return bool(told.size and (told < limit).all())
 
     def _bad(self, one: _Candidate) -> bool:
         """Whether it explains none, or most of a recording's have no place."""
