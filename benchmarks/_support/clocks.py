@@ -40,7 +40,7 @@ def drawn_scene(
         offset_s: By recording, how far the camera's clock is ahead of the log's.
         seed: Of the boats and of all noise.
         duration_s: Of each recording.
-        margin_s: How much longer its log is before and after, 60 at most; negative: shorter.
+        margin_s: How much longer its log is before and after, 60 at most.
         keys: Further lines of each recording.
     """
     lines = []

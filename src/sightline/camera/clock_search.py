@@ -49,6 +49,8 @@ _LOOKS = 9
 # Nats by which another clock has to be likelier than the one that was believed.
 _LEAST_LEAD = 3.0
 _FEWEST = 5
+# Of the boxes of a recording; where fewer have a place, another clock may give more of them one.
+_COVERED = 0.8
 _ROUNDS = 4
 _STILL_S = 0.05
 
@@ -171,7 +173,7 @@ class _Search:
         if believed is not None:
             believed = self._again(believed)
             found.append(self._placed(believed))
-        if not found or not self._good(found[0], _GOOD):
+        if not found or not (self._good(found[0], _GOOD) and self._covered(found[0])):
             found += self._along(0.0, found)
             if not found or self._bad(max(found, key=_score)):
                 for zone_s in self._zones(range(len(self.recordings))):
@@ -191,6 +193,15 @@ class _Search:
         """Whether a camera explains the boxes that have places at its clocks, where most have."""
         told = one.median[np.isfinite(one.median)]
         return bool(told.size and (told < limit).all())
+
+    def _covered(self, one: _Candidate) -> bool:
+        """Whether nearly all boxes have places at its clocks."""
+        return all(
+            not free or len(recording.at(float(offset_s))) >= _COVERED * recording.asked
+            for recording, offset_s, free in zip(
+                self.recordings, one.offset_s, self.free, strict=True
+            )
+        )
 
     def _bad(self, one: _Candidate) -> bool:
         """Whether it explains none, or most of a recording's have no place."""
@@ -224,7 +235,7 @@ class _Search:
                 continue
             out.append(found)
             shapes = [max(out, key=_score).shape]
-            if self._good(found, _VERY_GOOD) and not self._bad(found):
+            if self._good(found, _VERY_GOOD) and self._covered(found) and not self._bad(found):
                 break
         return out
 
