@@ -412,6 +412,7 @@ def test_an_overlap_is_judged_by_the_clock_that_a_run_takes(tmp_path: Path, ahea
         assert one.clock.words in one.said
 
 
+@pytest.mark.slow
 def test_a_log_that_a_late_clock_is_out_of_is_no_problem(tmp_path: Path) -> None:
     scene = late_scene(tmp_path, 50.0, 40.0)
     report = check(scene.path)
@@ -423,6 +424,7 @@ def test_a_log_that_a_late_clock_is_out_of_is_no_problem(tmp_path: Path) -> None
     assert not run_refuses(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_log_that_ends_too_early_is_said_whatever_the_clock(tmp_path: Path) -> None:
     scene = late_scene(tmp_path, 0.0)
     begin_utc_s = scene["01"].boxes().time_utc_s[0]

@@ -49,7 +49,7 @@ _LOOKS = 9
 # Nats by which another clock has to be likelier than the one that was believed.
 _LEAST_LEAD = 3.0
 _FEWEST = 5
-# Of the boxes of a recording; where fewer have a place, another clock may give more of them one.
+# Of the boxes of a recording that might have a place: where fewer have, the clock may be to blame.
 _COVERED = 0.8
 _ROUNDS = 4
 _STILL_S = 0.05
@@ -165,6 +165,7 @@ class _Search:
         self.start_s = np.array([one.prior.mean_s for one in recordings])
         self.free = np.array([not one.prior.stated for one in recordings])
         self.noise = PixelNoise()
+        self.most: dict[int, int] = {}
 
     def best(self) -> _Candidate | None:
         """The best candidate; None where no clock lets a camera be fitted."""
@@ -190,18 +191,25 @@ class _Search:
         return best
 
     def _good(self, one: _Candidate, limit: float) -> bool:
-        """Whether a camera explains the boxes that have places at its clocks, where most have."""
-        told = one.median[np.isfinite(one.median)]
-        return bool(told.size and (told < limit).all())
+        """Whether a camera explains the boxes that have places at its clocks."""
+        return bool((one.median[np.isfinite(one.median)] < limit).all())
 
     def _covered(self, one: _Candidate) -> bool:
-        """Whether nearly all boxes have places at its clocks."""
-        return all(
-            not free or len(recording.at(float(offset_s))) >= _COVERED * recording.asked
-            for recording, offset_s, free in zip(
-                self.recordings, one.offset_s, self.free, strict=True
-            )
-        )
+        """Whether no other clock gives many more boxes a place."""
+        for index in np.flatnonzero(self.free).tolist():
+            recording = self.recordings[index]
+            here = len(recording.at(float(one.offset_s[index])))
+            if here < _COVERED * recording.asked and here < _COVERED * self._most(index):
+                return False
+        return True
+
+    def _most(self, index: int) -> int:
+        """The most boxes of a recording that have places at any clock, but for other zones."""
+        if index not in self.most:
+            around = np.arange(-self.largest_s, self.largest_s + _STEP_S, _STEP_S)
+            at = self.recordings[index].at
+            self.most[index] = max(len(at(float(self.start_s[index] + o))) for o in around)
+        return self.most[index]
 
     def _bad(self, one: _Candidate) -> bool:
         """Whether it explains none, or most of a recording's have no place."""
