@@ -183,7 +183,8 @@ def _films(container: av.container.InputContainer) -> Iterator[av.VideoStream]:
 def _duration_s(stream: av.VideoStream) -> float:
     if stream.duration is None or stream.time_base is None:
         return 0.0
-    return float(stream.duration * stream.time_base)
+    # A damaged header may say less than none.
+    return max(float(stream.duration * stream.time_base), 0.0)
 
 
 def has_times(container: av.container.InputContainer) -> bool:
