@@ -42,7 +42,8 @@ def check(
     keep_apart([json], [file.path for file in report.files])
     keep_others([(json, "result")], overwrite=overwrite)
     write_result(json, report.to_dict())
-    for line in report.lines():
+    # The first of the problems is the error.
+    for line in report.lines(problems_from=1):
         say(line)
     refuse_problems(report, "above")
     if report.recordings:
