@@ -520,3 +520,21 @@ def test_a_duration_that_cannot_be(tmp_path: Path) -> None:
         assert container.streams.video[0].duration < 0
     # Which frames are shown depends on these times.
     assert seen(path)[2][0] == 0
+
+
+@pytest.mark.parametrize("seed", [3, 24, 39, 51])
+def test_no_picture_is_counted_twice_behind_damage(tmp_path: Path, seed: int) -> None:
+    """Decoders show some pictures late there, when others are thought to be lost."""
+    noise = np.random.default_rng(0).integers(0, 255, (60, 48, 64, 3), dtype=np.uint8)
+    images = [np.clip(picture(n) + noise[n] // 8, 0, 255) for n in range(60)]
+    path = write(tmp_path / "a.ts", list(range(0, 6000, 100)), b_frames=2, images=images)
+    data, rng = bytearray(path.read_bytes()), np.random.default_rng(seed)
+    for _ in range(int(rng.integers(1, 4))):
+        place, size = int(rng.integers(600, len(data) - 200)), int(rng.integers(1, 400))
+        data[place : place + size] = bytes(size)
+    path.write_bytes(data)
+    tally = Tally(path)
+    index, times_s, _ = seen(path, tally)
+    assert tally.read["frames"] == len(index) == 60 - tally.total_left_out
+    np.testing.assert_allclose(times_s, np.array(index) / 10.0, atol=1e-4)
+    agree(path, index, times_s, 60)

@@ -206,6 +206,9 @@ class Key(NamedTuple):
     ticks: int
 
 
+_NO_KEY = Key(0, 0)
+
+
 class PacketClock:
     """What packets say on the times of their pictures.
 
@@ -253,7 +256,7 @@ class PacketClock:
         self._decoded_s = decoded_s
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Picture:
     """A picture that has come, and the packets whose pictures should have come before it."""
 
@@ -417,6 +420,7 @@ class Decoder:
         time that is wrong. So it is waited for as long as it may still come.
         """
         while self._came and (ended or not any(map(self._may_come, self._came[0].before))):
+            self._put_late_first()
             came = self._came.popleft()
             lost = [self._waiting.pop(o) for o in came.before if o in self._waiting]
             if self._clock.by_decoding:
@@ -434,6 +438,21 @@ class Decoder:
             self._waiting.clear()
             lost = lost if self._one_a_packet else lost[: self._damage]
             self._next += [_Place(one, None) for one in lost]
+
+    def _put_late_first(self) -> None:
+        """Put pictures that decoders show too late, behind damage, before that which stands first.
+
+        Where most of the pictures behind it are later than the first, its time is no wrong one.
+        """
+        first, *rest = self._came
+        late = [one for one in rest if one.ordinal in first.before and self._is_before(one, first)]
+        damaged = first.ordinal <= self._damaged_at + _MOST_REORDERED
+        if late and damaged and not _most(self._is_before(one, first) for one in rest):
+            late.sort(key=lambda one: one.key or _NO_KEY)
+            self._came = deque([*late, first, *(one for one in rest if one not in late)])
+
+    def _is_before(self, one: _Picture, other: _Picture) -> bool:
+        return one.key is not None and other.key is not None and one.key < other.key
 
     def _may_come(self, ordinal: int) -> bool:
         """Whether the decoder may still show a picture that it has been given."""
