@@ -33,12 +33,28 @@ def test_check_refuses_what_a_run_refuses(
     scene, result = harbour / "scene.toml", tmp_path / "check.json"
     done = sightline("check", scene, "--json", result)
     assert done.status == 2
-    assert done.out.count("problem: ") == 2
+    assert done.out.count("problem: ") == 1
     assert "Nothing stands" not in done.out
+    # Each is said once.
+    for named in ("recordings[1].boxes names ", "clock names "):
+        assert (done.out + done.err).count(named) == 1
     assert done.err.startswith(f"error: {scene}: recordings[1].boxes names ")
     assert done.err.endswith("(and 1 more, above)\n")
     assert len(done.err.splitlines()) == 1
     assert json.loads(result.read_text())["refused"] is True
+
+
+def test_check_says_the_only_problem_once(sightline: Command, tmp_path: Path) -> None:
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "empty.gpx").touch()
+    (tmp_path / "broken.mp4").write_bytes(bytes(range(256)))
+    (tmp_path / "scene.toml").write_text("[camera\n")
+    for path in sorted(tmp_path.iterdir()):
+        done = sightline("check", path)
+        assert done.status == 2
+        said = done.err.removeprefix("error: ").strip()
+        assert said.startswith(str(path))
+        assert done.out == ""
 
 
 @pytest.mark.slow

@@ -338,9 +338,10 @@ class _Search:
     def _again(self, one: _Candidate) -> _Candidate:
         """A candidate fitted to the places at its own clocks, as long as that betters it."""
         for _ in range(_ROUNDS):
-            problem = self._problem(self._sightings(one.offset_s), one.offset_s)
-            if len(problem.sightings) < _FEWEST:
+            sightings = self._sightings(one.offset_s)
+            if len(sightings) < _FEWEST:
                 break
+            problem = self._problem(sightings, one.offset_s)
             start = np.append(one.shape, np.zeros(problem.clock_groups.size))
             problem.expect_hull(start)
             solved = problem.solve(start, self.noise, _EVALUATIONS)

@@ -131,8 +131,12 @@ class CheckReport:
         except SightlineError as error:
             self.problems.append(str(error))
 
-    def lines(self) -> list[str]:
-        """All that was found, as people read it: about twenty lines."""
+    def lines(self, problems_from: int = 0) -> list[str]:
+        """All that was found, as people read it: about twenty lines.
+
+        Args:
+            problems_from: The first of the problems that is among them.
+        """
         body = [self.head] if self.head else []
         recordings = [f"recording {one.name}: {one.said}" for one in self.recordings]
         files = [
@@ -149,7 +153,7 @@ class CheckReport:
                 body.append(f"left out of {one.path}: {one.tally.reasons()}")
             body += [f"note: {one.path}: {sentence}" for sentence in one.tally.notes]
         body += [f"warning: {line}" for line in self.warnings]
-        return [*body, *(f"problem: {line}" for line in self.problems)]
+        return [*body, *(f"problem: {line}" for line in self.problems[problems_from:])]
 
     def to_dict(self) -> dict[str, object]:
         """As JSON has it; times are POSIX seconds."""

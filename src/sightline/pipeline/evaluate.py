@@ -335,8 +335,28 @@ def left_out_inputs(
     Raises:
         FitError: See `leave_one_out`.
     """
-    names = recordings_with_correspondences(scene, collect(scene, extra=extra, pictures=False))
-    return {name: collect(scene.without([name]), extra=extra, pictures=pictures) for name in names}
+    asked = [r.name for r in scene.recordings if r.boxes_path and r.fixes_path]
+    try:
+        inputs = {
+            name: collect(scene.without([name]), extra=extra, pictures=pictures) for name in asked
+        }
+        held = {name for one in inputs.values() for name in _recordings(one)}
+    except (FitError, InputError):
+        # Nothing is left without one of those that are asked, or one alone teaches.
+        inputs, held = {}, set()
+    if len(held) < 2:
+        whole = collect(scene, extra=extra, pictures=False)
+        held = set(recordings_with_correspondences(scene, whole))
+        inputs = {
+            name: collect(scene.without([name]), extra=extra, pictures=pictures)
+            for name in asked
+            if name in held
+        }
+    return {name: own for name, own in inputs.items() if name in held}
+
+
+def _recordings(inputs: FitInputs) -> set[str]:
+    return set(inputs.correspondences.recording.tolist())
 
 
 def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str]:
@@ -349,7 +369,7 @@ def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str
     Raises:
         FitError: Fewer than two recordings have boxes and fixes at the same times.
     """
-    held = set(inputs.correspondences.recording.tolist())
+    held = _recordings(inputs)
     names = [recording.name for recording in scene.recordings if recording.name in held]
     if len(names) < 2:
         raise FitError(
