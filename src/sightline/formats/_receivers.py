@@ -12,7 +12,8 @@ from sightline.types import BoolArray, FloatArray
 # Fixes of one receiver lie an interval apart, whatever it calls itself.
 _BESIDE = 0.75
 _SHARE = 0.1
-_FIT_M = 0.5
+FIT_M = 0.5
+"""Fixes that lie on a line to this may be of one receiver or of two: it does not matter."""
 _SHORT_STEPS = 10.0
 _USUAL_S = 1.0
 _LEAST_GAP_S, _GAPS = 10.0, 5.0
@@ -58,10 +59,10 @@ class Source:
         """
         steps_s = np.diff(self.time_utc_s)
         if not steps_s.size:
-            return np.isin(time_utc_s, self.time_utc_s)
+            return np.zeros(np.shape(time_utc_s), dtype=bool)
         most_s = max(_LEAST_GAP_S, _GAPS * float(np.median(steps_s)))
         after = np.clip(np.searchsorted(self.time_utc_s, time_utc_s), 1, steps_s.size)
-        inside = (time_utc_s >= self.time_utc_s[0]) & (time_utc_s <= self.time_utc_s[-1])
+        inside = (time_utc_s > self.time_utc_s[0]) & (time_utc_s < self.time_utc_s[-1])
         return np.asarray(inside & (steps_s[after - 1] <= most_s))
 
 
@@ -83,7 +84,7 @@ def runs_beside(first: Source, second: Source, *, same_times_are_two: bool = Fal
     near = nearest_s < _BESIDE * min(_step_s(first.time_utc_s), _step_s(second.time_utc_s))
     if near.mean() <= _SHARE:
         return False
-    return float(np.median(apart_m(first, second[near]))) > _FIT_M
+    return float(np.median(apart_m(first, second[near]))) > FIT_M
 
 
 def apart_m(line: Source, fixes: Source) -> FloatArray:

@@ -16,7 +16,7 @@ import pyais.exceptions
 import pyais.messages
 
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
 from sightline.formats._ais_messages import Message, read_messages
 from sightline.formats._sentences import ReceptionClock
 from sightline.plausibility import distance_m
@@ -199,7 +199,7 @@ def _feed(
         columns = columns[kept]
         rows, (time_s, latitude, longitude) = columns[:, 5].astype(np.int64), columns[:, :3].T
         try:
-            usable = _files.usable(path, rows, time_s, latitude, longitude, tally=tally)
+            usable = _log_rows.usable(path, rows, time_s, latitude, longitude, tally=tally)
         except InputError:
             if len(wanted) == 1:
                 raise

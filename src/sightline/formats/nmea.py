@@ -13,7 +13,7 @@ import numpy as np
 import pynmea2
 
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
 from sightline.formats._receivers import Source, runs_beside
 from sightline.formats._sentences import (
     DAY_S,
@@ -176,7 +176,7 @@ def read_nmea(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fi
         own.note("none of its fixes is measured; all are estimated, entered or simulated")
     if not fixes.any():
         raise InputError(f"{path}: {_why_none(log, own)}")
-    found = _files.fixes(
+    found = _log_rows.fixes(
         path,
         log.line[fixes],
         log.time_utc_s[fixes],
