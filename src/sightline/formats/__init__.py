@@ -17,7 +17,7 @@ import pandas as pd
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
-from sightline.formats._log_table import is_log_table
+from sightline.formats._log_table import is_log_table, is_vessel_table
 from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
@@ -45,6 +45,7 @@ __all__ = [
     "atomic_path",
     "box_writer",
     "holds_ais",
+    "is_log_table",
     "iter_boxes",
     "read_ais",
     "read_ais_feed",
@@ -128,9 +129,9 @@ def read_fixes(
 
     What is in the file decides: XML is GPX; ``$..RMC``, ``GGA``, ``GNS`` and ``GLL`` sentences are
     the log of a receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
-    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them. A log with both kinds
-    of sentences is read as AIS if an MMSI is given. Fixes that cannot be true are left out and
-    counted; see `sightline.plausibility`.
+    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them, and is AIS where it
+    has a column ``mmsi`` as well. A log with both kinds of sentences is read as AIS if an MMSI is
+    given. Fixes that cannot be true are left out and counted; see `sightline.plausibility`.
 
     Args:
         path: The file.
@@ -146,8 +147,13 @@ def read_fixes(
     # A log of many hours may begin with the receiver on board, and come to others later.
     if sentences and (mmsi is not None or _only_ais(head)):
         return read_ais_vessel(path, mmsi, tally=tally)
+    if not sentences and is_vessel_table(head):
+        return read_ais_vessel(path, mmsi, tally=tally)
     if mmsi is not None:
-        raise InputError(f"{path}: holds no AIS sentence, so no vessel can be chosen by its MMSI")
+        raise InputError(
+            f"{path}: holds no AIS sentence and no column mmsi, so no vessel can be chosen by its "
+            "MMSI"
+        )
     if sentences:
         return read_nmea(path, tally=tally)
     if head.lstrip("\ufeff \t\r\n").startswith("<") or Path(path).suffix.lower() == ".gpx":
@@ -161,12 +167,13 @@ def read_fixes(
 
 
 def holds_ais(path: str | os.PathLike[str]) -> bool:
-    """Whether a log is one of AIS sentences, and not of a receiver on board.
+    """Whether a log is one of AIS, as sentences or as a table with MMSIs, and of none on board.
 
     Raises:
         InputError: The file is missing or cannot be read.
     """
-    return _only_ais(_files.beginning(path))
+    head = _files.beginning(path)
+    return _only_ais(head) or (not _NMEA.search(head) and is_vessel_table(head))
 
 
 def _only_ais(head: str) -> bool:

@@ -23,6 +23,9 @@ _TEXT = re.compile(
     r"\s*(?P<after>[NSEWnsew])?"
 )
 _MOST_TEXT = 60
+# Degrees of two digits, or of three, and the two of the minutes.
+_PADDED = (r"(?<![\d.])\d{4}(?:\.\d+)?(?!\d)", r"(?<![\d.])\d{5}(?:\.\d+)?(?!\d)")
+_MOST = 0.5
 _SIDES = ("NS", "EW")
 _LIMITS_DEG = (90.0, 180.0)
 _ROUND_DEG = 360.0
@@ -44,7 +47,8 @@ def read_degrees(
     """Latitude and longitude of texts, NaN where there is none.
 
     Understood are decimal degrees with a point or a comma, degrees and minutes, degrees, minutes
-    and seconds, each with a sign or a letter, and whole numbers of 10^-7 degrees.
+    and seconds, each with a sign or a letter, ``ddmm.mmmm`` with letters, and whole numbers of
+    10^-7 degrees.
 
     Args:
         path: The file, for messages.
@@ -63,6 +67,9 @@ def read_degrees(
     unread = np.isinf(axes[0]) | np.isinf(axes[1])
     _leave_out(path, columns, names, axes, tally)
     latitude, longitude = (np.where(unread, np.nan, axis) for axis in axes)
+    if _packed(columns, latitude, longitude, names):
+        latitude, longitude = _unpacked(latitude), _unpacked(longitude)
+        return latitude, longitude, "its places are taken for degrees and minutes (ddmm.mmmm)"
     scale, said = _scale(path, columns[0].index, latitude, longitude, names)
     latitude, longitude = latitude / scale, longitude / scale
     known = longitude[np.abs(longitude) <= _ROUND_DEG]
@@ -131,6 +138,39 @@ def _angle(text: str, axis: int) -> float | None:
     negative = letter in ("S", "W") or (match["sign"] or "+") != "+"
     degrees = parts[0] + parts[1] / 60.0 + parts[2] / 3600.0
     return -degrees if negative else degrees
+
+
+def _packed(
+    columns: tuple[pd.Series, pd.Series],
+    latitude: FloatArray,
+    longitude: FloatArray,
+    names: tuple[str, str],
+) -> bool:
+    """Whether numbers are degrees and minutes without a mark between, as NMEA 0183 has them.
+
+    A name or the letters of the hemispheres have to say so, since metres look the same.
+    """
+    known = np.isfinite(latitude) & np.isfinite(longitude)
+    if not known.any():
+        return False
+    texts = [column[known] for column in columns]
+    told = all(re.search("dd?mm|nmea", name.lower()) for name in names)
+    lettered = all(text.str.contains("[NSEWnsew]").mean() > _MOST for text in texts)
+    if not (told or lettered):
+        return False
+    places = np.abs(np.stack([latitude[known], longitude[known]]))
+    fits = (places % 100.0 < 60.0).all(axis=0) & (places[0] <= 9000.0) & (places[1] <= 18000.0)
+    padded = texts[0].str.contains(_PADDED[0]) & texts[1].str.contains(_PADDED[1])
+    large = (places[0] > _LIMITS_DEG[0]) | (places[1] > _LIMITS_DEG[1]) | padded.to_numpy(bool)
+    return bool((fits & (large | told)).mean() > _MOST)
+
+
+def _unpacked(values: FloatArray) -> FloatArray:
+    """Degrees of ``dddmm.mmmm``; what has no such minutes is on no earth."""
+    size = np.abs(values)
+    minutes = size % 100.0
+    degrees = (size - minutes) / 100.0 + minutes / 60.0
+    return np.asarray(np.copysign(np.where(minutes < 60.0, degrees, size * 1e3), values))
 
 
 def _scale(

@@ -47,6 +47,7 @@ def row_times(
     row: str = "line",
     title: str = "",
     zone_told: bool = False,
+    day_first: bool | None = None,
 ) -> FloatArray:
     """(N,) POSIX seconds of the rows of a log; NaN of those that are left out.
 
@@ -58,6 +59,7 @@ def row_times(
         row: What ``rows`` counts.
         title: Of their column, for messages.
         zone_told: Whether it says that its times are in UTC.
+        day_first: As for `read_times`.
 
     Raises:
         InputError: The times are not understood, or too many of them.
@@ -70,7 +72,7 @@ def row_times(
         return InputError(f"{path}, {row} {numbers[i]}: {_files.shortened(texts[i])} {why}")
 
     try:
-        read = read_times(texts, strict=False)
+        read = read_times(texts, strict=False, day_first=day_first)
     except NotUnderstoodError as error:
         raise refused(error.row, error.why) from error
     empty = [i for i, text in enumerate(texts) if not text.strip()]

@@ -106,7 +106,13 @@ class Times:
     refused: dict[int, str] = field(default_factory=dict)
 
 
-def read_times(texts: Sequence[str], *, dated: bool = True, strict: bool = True) -> Times:
+def read_times(
+    texts: Sequence[str],
+    *,
+    dated: bool = True,
+    strict: bool = True,
+    day_first: bool | None = None,
+) -> Times:
     """POSIX seconds of texts that belong together: a column, or the points of a file.
 
     Understood are ISO 8601 in its forms, and what loggers, spreadsheets and languages make of it;
@@ -117,6 +123,7 @@ def read_times(texts: Sequence[str], *, dated: bool = True, strict: bool = True)
         texts: (N,) as they stand; an empty one has no time.
         dated: Whether seconds of before 2000 are refused, since they are no dates of logs.
         strict: Whether one text that is no time refuses all; else it is among ``refused``.
+        day_first: How dates like 03/04/2024 are read where no row tells; None: they are refused.
 
     Raises:
         NotUnderstoodError: A text is no time, or may be two.
@@ -149,7 +156,7 @@ def read_times(texts: Sequence[str], *, dated: bool = True, strict: bool = True)
     # What pandas cannot say, as a leap second, is looked at once more.
     rest = np.flatnonzero(written & np.isnan(seconds) & ~number)
     if rest.size:
-        found = _texts(clean, rest, strict)
+        found = _texts(clean, rest, strict, day_first)
         seconds[rest] = found.time_utc_s
         refused |= {int(rest[i]): why for i, why in found.refused.items()}
         assumed += found.assumed
@@ -227,7 +234,7 @@ def _are_serials(values: FloatArray) -> bool:
     return bool(np.median(np.abs(np.diff(values))) < _SERIAL_STEP)
 
 
-def _texts(clean: pd.Series, rows: IntArray, strict: bool) -> Times:
+def _texts(clean: pd.Series, rows: IntArray, strict: bool, day_first: bool | None) -> Times:
     """Times of texts that are no numbers; their rows are counted among ``rows``."""
     found: list[dict[str, str | None]] = []
     refused: dict[int, str] = {}
@@ -239,7 +246,7 @@ def _texts(clean: pd.Series, rows: IntArray, strict: bool) -> Times:
                 raise
             found.append({})
             refused[i] = error.why
-    orders = _day_first(found, rows)
+    orders = _day_first(found, rows, day_first)
     seconds = np.full(rows.size, np.nan)
     for i, (parts, row) in enumerate(zip(found, rows, strict=True)):
         if i in refused:
@@ -273,7 +280,9 @@ def _match(text: str, row: int) -> dict[str, str | None]:
     raise NotUnderstoodError(row, why)
 
 
-def _day_first(found: list[dict[str, str | None]], rows: IntArray) -> bool | None:
+def _day_first(
+    found: list[dict[str, str | None]], rows: IntArray, usual: bool | None
+) -> bool | None:
     """Whether dates of two small numbers have the day first; None where there are none."""
     dates = [
         (int(row), int(parts["first"] or 0), int(parts["next"] or 0), parts["mark"])
@@ -290,6 +299,8 @@ def _day_first(found: list[dict[str, str | None]], rows: IntArray) -> bool | Non
         )
     if days or months:
         return bool(days)
+    if usual is not None:
+        return usual
     # With points the day comes first wherever dates are written so.
     unclear = [row for row, first, second, mark in dates if first != second and mark != "."]
     if unclear:

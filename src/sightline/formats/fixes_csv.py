@@ -57,7 +57,13 @@ def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) 
     when = table.time[placed]
     title = str(table.time.name)
     time_s = _log_rows.row_times(
-        path, when.index, when.tolist(), own, title=title, zone_told="utc" in plain(title)
+        path,
+        when.index,
+        when.tolist(),
+        own,
+        title=title,
+        zone_told="utc" in plain(title),
+        day_first=table.day_first,
     )
     timed = np.isfinite(time_s)
     when, time_s = when[timed], time_s[timed]

@@ -91,7 +91,13 @@ def _in_table(path: str | os.PathLike[str], tally: Tally) -> Headings | None:
     unsaid = Tally(path)
     zone_told = "utc" in plain(title)
     times = _log_rows.row_times(
-        path, when.index, when.tolist(), unsaid, title=title, zone_told=zone_told
+        path,
+        when.index,
+        when.tolist(),
+        unsaid,
+        title=title,
+        zone_told=zone_told,
+        day_first=table.day_first,
     )
     timed = np.isfinite(times)
     lines, times, values = when.index.to_numpy()[timed], times[timed], values[~unread][timed]

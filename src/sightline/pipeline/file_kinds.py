@@ -6,6 +6,7 @@ import codecs
 import re
 from pathlib import Path
 
+from sightline import formats
 from sightline.errors import InputError
 
 _SUFFIXES = {
@@ -82,5 +83,7 @@ def _kind_of_table(text: str) -> str:
     for told, kind in _TABLES:
         if told <= names:
             return kind
+    if formats.is_log_table(text):
+        return "log"
     place = any(name.startswith(("lat", "position_lat")) for name in names)
     return "log" if place else "boxes"
