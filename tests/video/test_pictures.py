@@ -15,7 +15,7 @@ from PIL import Image
 
 from sightline.errors import BrokenOffError, InputError
 from sightline.tally import Tally
-from sightline.video import frames, read_picture
+from sightline.video import frames, read_picture, video_info
 from sightline.video.reader import frame_count
 
 QUARTERS = np.zeros((24, 32, 3), np.uint8)
@@ -47,7 +47,7 @@ def test_other_kinds_are_refused_and_start_nothing(
     folder = tmp_path / "frames"
     folder.mkdir()
     Image.fromarray(QUARTERS).save(folder / "000001.jpg", format=kind)
-    with pytest.raises(InputError, match=r"000001\.jpg: is no picture that can be read"):
+    with pytest.raises(InputError, match=r"000001\.jpg: is (no picture that can be read|a GIF)"):
         list(frames(folder))
     assert not mark.exists()
 
@@ -166,3 +166,17 @@ def test_two_sizes_in_a_folder(tmp_path: Path) -> None:
     with pytest.raises(BrokenOffError, match=r"000003\.png has 32 x 12 px, 000001\.png 32 x 24 px"):
         found.extend(frames(tmp_path))
     assert [frame.index for frame in found] == [1, 2]
+
+
+def test_a_gif_is_named(tmp_path: Path) -> None:
+    picture = Image.fromarray(QUARTERS)
+    picture.save(tmp_path / "a.gif")
+    picture.save(tmp_path / "000001.jpg", format="GIF")
+    for read in (video_info, read_picture):
+        with pytest.raises(InputError, match=r"a\.gif: is a GIF, .* ffmpeg -i FILE\.gif"):
+            read(tmp_path / "a.gif")
+    with pytest.raises(InputError, match=r"000001\.jpg: is a GIF"):
+        next(iter(frames(tmp_path)))
+    (tmp_path / "000001.jpg").unlink()
+    with pytest.raises(InputError, match=r"holds no picture; .*; its \.gif are not read, convert"):
+        frames(tmp_path)

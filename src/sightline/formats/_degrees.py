@@ -43,6 +43,7 @@ def read_degrees(
     names: tuple[str, str],
     *,
     tally: Tally,
+    row: str = "line",
 ) -> tuple[FloatArray, FloatArray, str]:
     """Latitude and longitude of texts, NaN where there is none.
 
@@ -55,6 +56,7 @@ def read_degrees(
         columns: Text; the index is the line.
         names: What the file calls them.
         tally: Takes the rows that have no place, or none that can be read.
+        row: What the index counts.
 
     Returns:
         Two (N,) float64 arrays, and what was assumed, or ``""``.
@@ -65,7 +67,7 @@ def read_degrees(
     """
     axes = [_axis(columns[i].tolist(), i) for i in (0, 1)]
     unread = np.isinf(axes[0]) | np.isinf(axes[1])
-    _leave_out(path, columns, names, axes, tally)
+    _leave_out(path, columns, names, axes, tally, row)
     latitude, longitude = (np.where(unread, np.nan, axis) for axis in axes)
     if _packed(columns, latitude, longitude, names):
         latitude, longitude = _unpacked(latitude), _unpacked(longitude)
@@ -94,6 +96,7 @@ def _leave_out(
     names: tuple[str, str],
     axes: list[FloatArray],
     tally: Tally,
+    row: str,
 ) -> None:
     unread = np.isinf(axes[0]) | np.isinf(axes[1])
     missing = ~unread & (np.isnan(axes[0]) | np.isnan(axes[1]))
@@ -101,15 +104,15 @@ def _leave_out(
         i = int(np.argmax(unread))
         axis = 0 if np.isinf(axes[0][i]) else 1
         raise InputError(
-            f"{path}, line {columns[0].index[i]}: {_files.shortened(columns[axis].iloc[i])} is no "
+            f"{path}, {row} {columns[0].index[i]}: {_files.shortened(columns[axis].iloc[i])} is no "
             f"number ({names[axis].strip()}); expected decimal degrees"
         )
     for which, reason in ((unread, UNREAD_PLACE), (missing, NO_PLACE)):
         if which.any():
             i = int(np.argmax(which))
             text = f"{columns[0].iloc[i]}, {columns[1].iloc[i]}"
-            row = f"line {columns[0].index[i]}"
-            tally.leave_out(reason, int(which.sum()), row=row, text=text)
+            where = f"{row} {columns[0].index[i]}"
+            tally.leave_out(reason, int(which.sum()), row=where, text=text)
 
 
 def _angle(text: str, axis: int) -> float | None:

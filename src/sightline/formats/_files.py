@@ -268,7 +268,7 @@ def refuse(
     """
     if bad.any():
         i = int(np.argmax(bad))
-        what = shortened(_text(np.asarray(values)[i]))
+        what = shortened(cell(np.asarray(values)[i]))
         raise InputError(f"{path}, {row} {np.asarray(lines)[i]}: {what} {reason}")
 
 
@@ -346,12 +346,12 @@ def times(
         if pd.api.types.is_numeric_dtype(column):
             read = read_numbers(column.to_numpy(dtype=np.float64), dated=dated)
         else:
-            texts = ["" if gone else _text(cell) for gone, cell in zip(empty, column, strict=True)]
+            texts = ["" if gone else cell(one) for gone, one in zip(empty, column, strict=True)]
             read = read_times(texts, dated=dated)
     except NotUnderstoodError as error:
-        line, cell = column.index[error.row], shortened(_text(column.iloc[error.row]))
+        line, said = column.index[error.row], shortened(cell(column.iloc[error.row]))
         why = error.why.replace("is no time", f"is no time ({column.name})", 1)
-        raise InputError(f"{path}, {row} {line}: {cell} {why}") from error
+        raise InputError(f"{path}, {row} {line}: {said} {why}") from error
     if tally is not None:
         for sentence in read.assumed:
             tally.note(sentence)
@@ -360,10 +360,10 @@ def times(
     return read.time_utc_s
 
 
-def _text(cell: object) -> str:
+def cell(value: object) -> str:
     """A cell as it stands; Python writes out no number of over 4,300 digits."""
     try:
-        return str(cell)
+        return str(value)
     except ValueError:
         return "a number of thousands of digits"
     except NotImplementedError:

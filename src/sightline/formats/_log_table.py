@@ -112,6 +112,12 @@ def plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", re.sub(r"[\[(].*", "", name.lower())) or name.lower()
 
 
+def alias_of(name: str) -> str:
+    """What a name of a column is another name of: time, latitude, longitude, or nothing."""
+    wanted = {"time": _ANY_TIME, "latitude": _ANY_LATITUDE, "longitude": _ANY_LONGITUDE}
+    return next((key for key, names in wanted.items() if plain(name) in names), "")
+
+
 def is_log_table(head: str) -> bool:
     """Whether a text begins as a table with a time and a place, by the names of its columns."""
     return _header(_NEW_LINE.split(head)) is not None

@@ -87,6 +87,25 @@ def runs_beside(first: Source, second: Source, *, same_times_are_two: bool = Fal
     return float(np.median(apart_m(first, second[near]))) > FIT_M
 
 
+def of_one_receiver(names: np.ndarray, fixes: Source) -> BoolArray:
+    """(N,) bool, the fixes of the source with most of them, and of those that take turns with it.
+
+    Args:
+        names: (N,) str, the source of each fix.
+        fixes: N of them, in the order of the log; what is not finite has no say.
+    """
+    known = np.isfinite(fixes.time_utc_s + fixes.latitude_deg + fixes.longitude_deg)
+    sources, counts = np.unique(names[known], return_counts=True)
+    kept = ~np.isin(names, sources)
+    line: Source | None = None
+    for name in sources[np.argsort(-counts, kind="stable")]:
+        own = fixes[known & (names == name)].sorted_by_time()
+        if line is None or not runs_beside(line, own, same_times_are_two=True):
+            line = own if line is None else line.with_fixes_of(own)
+            kept |= names == name
+    return kept
+
+
 def apart_m(line: Source, fixes: Source) -> FloatArray:
     """(N,) metres of fixes from where another source was at their times.
 

@@ -11,7 +11,8 @@ from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
 from sightline.formats._degrees import read_degrees
-from sightline.formats._log_table import plain, read_log_table
+from sightline.formats._json_logs import read_json_log
+from sightline.formats._log_table import LogTable, plain, read_log_table
 from sightline.tally import Tally
 from sightline.types import Fixes, FloatArray
 
@@ -43,8 +44,41 @@ def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) 
     own.format = "CSV"
     table = read_log_table(path)
     own.count("rows", len(table.time) + len(table.cut_short))
+    fixes = _of_table(path, table, own, "line")
+    own.count("fixes", len(fixes))
+    if tally is None:
+        own.warn(_logger)
+    return fixes
+
+
+def read_fixes_json(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fixes:
+    """A log in JSON: of gpsd, of Signal K, GeoJSON with times, or an object a line.
+
+    Used are gpsd's ``TPV`` of mode 2 and 3; Signal K's ``navigation.position`` of the vessel
+    itself; the points of GeoJSON whose times stand in ``coordTimes``, or in ``time`` of a Point;
+    and objects whose names are those that columns of tables have. What is left out is what
+    `read_fixes_csv` leaves out. Of several receivers that ran at the same time that with most fixes
+    is used.
+
+    Args:
+        path: The file.
+        tally: Takes what was read, left out and assumed; None: what was left out is logged.
+
+    Raises:
+        InputError: It is JSON of another kind, or as `read_fixes_csv`.
+    """
+    own = tally if tally is not None else Tally(path)
+    table, row = read_json_log(path, own)
+    fixes = _of_table(path, table, own, row)
+    own.count("fixes", len(fixes))
+    if tally is None:
+        own.warn(_logger)
+    return fixes
+
+
+def _of_table(path: str | os.PathLike[str], table: LogTable, own: Tally, row: str) -> Fixes:
     places = (table.latitude, table.longitude)
-    latitude, longitude, said = read_degrees(path, places, table.places, tally=own)
+    latitude, longitude, said = read_degrees(path, places, table.places, tally=own, row=row)
     if said:
         own.note(said)
     if table.cut_short:
@@ -61,24 +95,25 @@ def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) 
         when.index,
         when.tolist(),
         own,
+        row=row,
         title=title,
         zone_told="utc" in plain(title),
         day_first=table.day_first,
     )
     timed = np.isfinite(time_s)
     when, time_s = when[timed], time_s[timed]
-    latitude, longitude, lines = latitude[placed][timed], longitude[placed][timed], when.index
-    _files.check_digits(path, lines, when.tolist(), time_s, latitude, longitude)
+    latitude, longitude, lines = (
+        latitude[placed][timed],
+        longitude[placed][timed],
+        when.index.to_numpy(),
+    )
+    _files.check_digits(path, lines, when.tolist(), time_s, latitude, longitude, row=row)
     if newest_first(time_s):
         own.note("its rows stand the newest first")
         time_s, latitude, longitude, lines = (
             column[::-1] for column in (time_s, latitude, longitude, lines)
         )
-    fixes = _log_rows.fixes(path, lines, time_s, latitude, longitude, tally=own)
-    own.count("fixes", len(fixes))
-    if tally is None:
-        own.warn(_logger)
-    return fixes
+    return _log_rows.fixes(path, lines, time_s, latitude, longitude, row=row, tally=own)
 
 
 def newest_first(time_utc_s: FloatArray) -> bool:

@@ -54,7 +54,7 @@ def kind_of(path: Path) -> str:
     text = _text(head)
     if text is None:
         return "video"
-    if _SENTENCE.search(text) or text.startswith("<"):
+    if _SENTENCE.search(text) or text.startswith(("<", "{", "[")):
         return "log"
     if suffix not in _TABLE_SUFFIXES:
         # Streams of pictures may begin without a zero, but not with letters alone.

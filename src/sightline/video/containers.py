@@ -19,7 +19,7 @@ import av
 
 from sightline.errors import InputError
 from sightline.tally import Tally
-from sightline.video.pictures import MOST_PIXELS, PICTURE_SUFFIXES
+from sightline.video.pictures import MOST_PIXELS, PICTURE_SUFFIXES, animation_refusal
 
 OPEN_TIMEOUT_S = 15.0
 """How long a stream may take until it answers, and again until its first pictures are there."""
@@ -124,6 +124,9 @@ def _opened(
 def _unreadable(name: str, error: Exception) -> InputError:
     if not is_address(name) and Path(name).suffix.lower() in PICTURE_SUFFIXES:
         return InputError(f"{name}: is a picture, not a video; give the folder that it is in")
+    animation = None if is_address(name) else animation_refusal(name)
+    if animation is not None:
+        return animation
     if isinstance(error, av.error.FFmpegError) and error.errno == errno.EINVAL:
         return InputError(
             f"{name}: is of no format that is read as a video; what names other files, as a "

@@ -26,6 +26,8 @@ _FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
 # Grey pictures of more than 8 bits, which Pillow would cut off at 255.
 _DEEP_MODES = ("I", "F", "I;16", "I;16L", "I;16B", "I;16N")
 _MOST_DIGITS = 18
+_GIF = b"GIF8"
+_OTHER_SUFFIXES = (".gif", ".heic", ".heif", ".avif", ".jp2", ".dng", ".ppm", ".pgm", ".svg")
 
 
 class GreyScale:
@@ -106,8 +108,23 @@ def _shown(stored: Image.Image, grey: GreyScale) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.asarray(coloured)[..., ::-1])
 
 
-def _no_picture(path: str | os.PathLike[str]) -> InputError:
+def animation_refusal(path: str | os.PathLike[str]) -> InputError | None:
+    """What is said of a GIF, whatever its name; None of any other file."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(len(_GIF))
+    except OSError:
+        return None
+    if head != _GIF:
+        return None
     return InputError(
+        f"{path}: is a GIF, which is not read; give the film that it was made of, or make pictures "
+        "of it (as ffmpeg -i FILE.gif %06d.png does)"
+    )
+
+
+def _no_picture(path: str | os.PathLike[str]) -> InputError:
+    return animation_refusal(path) or InputError(
         f"{path}: is no picture that can be read, or is damaged; known are {', '.join(_FORMATS)}"
     )
 
@@ -141,7 +158,9 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
         if other != path:
             raise InputError(f"{folder}: {other.name} and {path.name} are both frame {number[1]}")
     if not numbered:
-        raise InputError(f"{folder}: holds no picture; expected FRAME.jpg or FRAME.png")
+        endings = {path.suffix.lower() for path in folder.iterdir()} & set(_OTHER_SUFFIXES)
+        others = f"; its {', '.join(sorted(endings))} are not read, convert them" if endings else ""
+        raise InputError(f"{folder}: holds no picture; expected FRAME.jpg or FRAME.png{others}")
     return dict(sorted(numbered.items()))
 
 
