@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -246,3 +248,27 @@ def test_tracks_of_two_vessels_are_refused(tmp_path: Path) -> None:
     far = [row._replace(longitude="10.16") for row in rows()[5:]]
     with pytest.raises(InputError, match=r"track Elsa is of the same times .* and 1,9\d\d m from"):
         read(tmp_path / "log.gpx", whole(track(rows(), "Berta"), track(far, "Elsa")))
+
+
+@pytest.mark.parametrize("at", [0, 17, N])
+@pytest.mark.parametrize("wrong", ["060180", "250524"])
+def test_one_wrong_date_of_a_receiver(tmp_path: Path, wrong: str, at: int) -> None:
+    """The first day of GPS, and the week before."""
+    if wrong == "250524" and at == 0:
+        pytest.skip("a fix of the week before may stand there")
+
+    def rmc(second: float, date: str = "010624") -> str:
+        moment = datetime.fromtimestamp(START_S + second, UTC)
+        clock = moment.strftime("%H%M%S.") + f"{moment.microsecond // 10000:02d}"
+        minutes = (float(north_deg(second)) - 54.0) * 60.0
+        body = f"GPRMC,{clock},A,54{minutes:010.7f},N,01007.8,E,6.0,0.0,{date},,,A"
+        return f"${body}*{reduce(xor, body.encode()):02X}\r\n"
+
+    log = [rmc(i) for i in range(N)]
+    log.insert(at, rmc(at - 0.5, wrong))
+    path = tmp_path / "log.nmea"
+    path.write_text("".join(log))
+    tally = Tally(path)
+    check(read_fixes(path, tally=tally))
+    (left,) = tally.left_out.values()
+    assert (left.count, left.row) == (1, f"line {at + 1}")

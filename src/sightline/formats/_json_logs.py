@@ -19,6 +19,7 @@ from sightline.formats._log_table import LogTable, alias_of
 from sightline.formats._receivers import Source, of_one_receiver
 from sightline.formats._times import NotUnderstoodError, read_times
 from sightline.tally import Tally
+from sightline.text import encodable_text
 
 _MOST_BYTES = 512 * 2**20
 _GEOJSON = re.compile(r'"type"\s*:\s*"(?:FeatureCollection|Feature|(?:Multi)?LineString|Point)"')
@@ -70,13 +71,13 @@ class _Rows:
         self.time.append(_text(time))
         self.latitude.append(_text(place[0]))
         self.longitude.append(_text(place[1]))
-        self.source.append(source if isinstance(source, str) else "")
+        self.source.append(encodable_text(source) if isinstance(source, str) else "")
 
 
 def _text(value: Any) -> str:
     if isinstance(value, bool | dict | list) or value is None:
         return ""
-    return _files.cell(value)
+    return encodable_text(_files.cell(value))
 
 
 def read_json_log(path: str | os.PathLike[str], tally: Tally) -> tuple[LogTable, str]:

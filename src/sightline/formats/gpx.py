@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
 from collections import Counter
@@ -32,6 +33,7 @@ _logger = logging.getLogger(__name__)
 
 # No ship is longer, so that two receivers on board of one are not further apart.
 _SHIP_M = 500.0
+_FEWEST = 3
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="sightline" xmlns="http://www.topografix.com/GPX/1/1">
 """
@@ -186,8 +188,9 @@ def _fixes(
     placed = _log_rows.on_the_earth(latitude, longitude)
     looked_at = placed & ~repeated(time_s, latitude, longitude)
     kept = np.ones(known.size, dtype=bool)
-    for i in range(len(lines)):
-        own = looked_at & (segment == i)
+    begins = np.searchsorted(segment, np.arange(len(lines) + 1))
+    for begin, end in itertools.pairwise(begins.tolist()):
+        own = begin + np.flatnonzero(looked_at[begin:end])
         kept[own] = _log_rows.timely(path, rows[own], time_s[own], tally, row="point")
     found = Source(time_s, latitude, longitude)
     used = np.flatnonzero(kept & placed)
@@ -223,6 +226,13 @@ def _of_one_track(
         InputError: Two tracks are of the same times and far apart.
     """
     kept = np.ones(len(points), dtype=bool)
+    begins = np.flatnonzero(np.diff(segment, prepend=-1))
+    if begins.size < 2:
+        return kept
+    ends = np.append(begins[1:], len(points)) - 1
+    order = np.argsort(points.time_utc_s[begins], kind="stable")
+    if (points.time_utc_s[ends][order][:-1] <= points.time_utc_s[begins][order][1:]).all():
+        return kept
     lengths = Counter(id(lines[i].track) for i in segment)
     ranked = sorted(
         range(len(lines)), key=lambda i: (-lengths[id(lines[i].track)], -len(lines[i].points))
@@ -236,7 +246,7 @@ def _of_one_track(
         if used is not None:
             within = own[used.covers(points.time_utc_s[own])]
             apart = float(np.median(apart_m(used, points[within]))) if within.size else 0.0
-            if apart > _SHIP_M:
+            if apart > _SHIP_M and within.size >= _FEWEST:
                 name = _files.shortened(lines[i].track.name) or f"of point {rows[within[0]]}"
                 raise InputError(
                     f"{path}: its track {name} is of the same times as another and {apart:,.0f} m "
