@@ -171,6 +171,9 @@ TEXTS = {
     "degrees and minutes as NMEA has them": table(
         "time,lat,N/S,lon,E/W", "{0},{1},N,{2},E", rows=rows_of(iso, packed, packed)
     ),
+    "degrees and minutes with directions": table(
+        "time,lat,lat_dir,lon,lon_dir", "{0},{1},N,{2},E", rows=rows_of(iso, packed, packed)
+    ),
     "degrees and minutes with letters": table(
         "utc;latitude;longitude", "{0};{1}N;{2}E", rows=rows_of(iso, packed, packed)
     ),

@@ -133,6 +133,12 @@ TABLES = {
     ),
     "centres.csv": lines(centre, "frame_id,id,cx,cy,w,h,conf"),
     "shares.csv": lines(shares, NAMED),
+    "shares.txt": lines(
+        lambda r: mot(r).replace(
+            f"{r.x1},{r.y1},{r.size[0]},{r.size[1]}",
+            f"{r.x1 / 1280:.9f},{r.y1 / 720:.9f},{r.size[0] / 1280:.9f},{r.size[1] / 720:.9f}",
+        )
+    ),
     "percent-places.csv": lines(lambda r: shares(r, 100.0), NAMED),
 }
 
@@ -317,16 +323,20 @@ def test_labels_of_yolo_behind_their_frame_are_centres(
         read_boxes(path)
 
 
-def test_one_target_in_shares_is_told_by_the_edge_or_refused(tmp_path: Path) -> None:
+def test_one_target_in_shares_is_told_by_its_id_or_the_edge_or_refused(tmp_path: Path) -> None:
     path = tmp_path / "yolo.txt"
     edge = [row for row in at_the_edge() if row.track == 3]
     path.write_text("".join(yolo(row) + "\n" for row in edge))
     check(read_boxes(path, image_size_px=SIZE_PX), edge)
     path.write_text("".join(yolo(row) + "\n" for row in ROWS if row.track == 3))
+    check(read_boxes(path, image_size_px=SIZE_PX), [row for row in ROWS if row.track == 3])
+    path.write_text("".join(yolo(row, conf=False) + "\n" for row in ROWS if row.track == 3))
     with pytest.raises(InputError, match="write a header, as frame,class_id,xc,yc,w,h,conf,track"):
         read_boxes(path, image_size_px=SIZE_PX)
-    path.write_text("frame,class_id,xc,yc,w,h,conf,track_id\n".replace(",", " ") + path.read_text())
-    check(read_boxes(path, image_size_px=SIZE_PX), [row for row in ROWS if row.track == 3])
+    head = "frame,class_id,xc,yc,w,h,track_id\n".replace(",", " ")
+    path.write_text(head + path.read_text())
+    alone = [row._replace(conf=1.0) for row in ROWS if row.track == 3]
+    check(read_boxes(path, image_size_px=SIZE_PX), alone)
 
 
 def test_classes_first_in_pixels_are_refused(tmp_path: Path) -> None:

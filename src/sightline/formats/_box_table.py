@@ -324,15 +324,17 @@ def _of_yolo(
     """
     told = survey.second.least >= 0.0 and survey.second.whole
     classes = survey.same_second > 0.5 * survey.crowded > 0.0
-    if not told or only_corner or "label" in form.places:
+    # MOTChallenge ends its rows with a place in the world that nobody knows.
+    mot = form.columns > _EIGHTH + 2 and survey.eighth.least == survey.eighth.greatest == -1.0
+    if not told or only_corner or mot or "label" in form.places:
         return form
+    ids = survey.eighth
+    numbered = ids.whole and ids.least >= 0.0 and form.columns == _EIGHTH + 1
     if not survey.in_shares:
-        ids = survey.eighth
-        numbered = ids.whole and ids.least >= 0.0 and form.columns == _EIGHTH + 1
         one_class = survey.second.greatest == 0.0 and ids.greatest > 0.0
         if not (numbered and (classes or one_class)):
             return form
-    elif classes or only_centre:
+    elif classes or only_centre or (numbered and not survey.crowded):
         tally.note(
             "it has no header; its columns are taken for frame, class, centre and size in shares "
             "of the picture, as YOLO writes them"

@@ -47,7 +47,12 @@ _LONGITUDES = _names(
     "londdmm londddmm londddmmmmmm longitudeddmm longitudedddmm lonnmea longitudenmea",
     "longitudee7 lone7 lnge7 longitudee6 lone6 lnge6",
 )
-_HEMISPHERES = _names("ns northsouth latns nsindicator", "ew eastwest lonew ewindicator")
+_HEMISPHERES = _names(
+    "ns northsouth latns nsindicator latdir latdirection latitudedir latitudedirection lathemi "
+    "lathemisphere latitudehemisphere latref latituderef gpslatituderef",
+    "ew eastwest lonew ewindicator londir londirection longitudedir longitudedirection lonhemi "
+    "lonhemisphere longitudehemisphere lonref longituderef gpslongituderef",
+)
 # What programs call a heading alone is often the course over ground.
 _HEADINGS = ("headingdeg", "headingtrue", "headingtruedeg", "trueheading", "trueheadingdeg", "hdt")
 _VESSELS = ("mmsi", "sourcemmsi", "vesselmmsi", "shipmmsi", "mmsinumber")
