@@ -97,6 +97,8 @@ TEXTS = {
             b'"geometry":{"type":"LineString","coordinates":[["\\udcff",1]]}}'
         ),
     ),
+    # A text of thousands of letters in a message.
+    "geojson with a long kind": ("tracks: GeoJSON", "a.geojson", geojson(kind="a" * 5000)),
     # Messages of AIS that end before the place, and before the second.
     "ais without a place": ("log: AIS", "a.nmea", sentences(AIS.format("139>JhO"))),
     "ais without a second": (
