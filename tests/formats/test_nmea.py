@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _support.sentences import (
+    LATITUDE_DEG,
     LONGITUDE_DEG,
     NOON_S,
     clock,
@@ -345,3 +346,28 @@ def test_a_receiver_that_changes_its_talker_is_one(tmp_path: Path, noise_m: floa
     fixes, tally = read(tmp_path / "log.nmea", "".join(map(made, range(60))))
     assert len(fixes) == 60
     assert not tally.left_out
+
+
+@pytest.mark.parametrize("talkers", [("GN", "GL", "GA", "GB"), ("GP", "GL")])
+def test_talkers_that_take_turns_in_a_turn_are_one_receiver(
+    tmp_path: Path, talkers: tuple[str, ...]
+) -> None:
+    """It circles at 10 m/s with 20 m radius, so that no line of one talker meets the others'."""
+    angle = np.arange(61) * 0.5
+    noise = np.random.default_rng(3).normal(0.0, 1.0, (2, 61))
+    north_m, east_m = 20.0 * np.cos(angle) + noise[0], 20.0 * np.sin(angle) + noise[1]
+
+    def made(second: int, shift_m: float = 0.0) -> str:
+        latitude = degrees_minutes(LATITUDE_DEG + north_m[second] / 111_320.0, 2)
+        longitude = LONGITUDE_DEG + (east_m[second] + shift_m) / 64_900.0
+        where = f"{latitude},N,{degrees_minutes(longitude, 3)},E"
+        talker = talkers[second % len(talkers)]
+        return sentence(f"{talker}RMC,{clock(second)},A,{where},6.0,0.0,300920,,,A") + "\r\n"
+
+    fixes, tally = read(tmp_path / "log.nmea", "".join(map(made, range(61))))
+    assert len(fixes) == 61
+    assert not tally.left_out
+    # What is 15 m to the east all the time is another antenna.
+    shifted = "".join(made(i, 15.0 * (i % len(talkers) == 1)) for i in range(61))
+    _, tally = read(tmp_path / "log.nmea", shifted)
+    assert tally.left_out[f"RMC of another receiver ({talkers[1]})"].count == 60 // len(talkers)

@@ -15,6 +15,10 @@ _SHARE = 0.1
 FIT_M = 0.5
 """Fixes that lie on a line to this may be of one receiver or of two: it does not matter."""
 _SHORT_STEPS = 10.0
+_OFTEN_S = 1.05
+_FEWEST = 3
+_CERTAIN = 4.0
+_EARTH_M = 6_371_008.8
 _USUAL_S = 1.0
 _LEAST_GAP_S, _GAPS = 10.0, 5.0
 
@@ -51,6 +55,13 @@ class Source:
             np.append(self.longitude_deg, other.longitude_deg),
         ).sorted_by_time()
 
+    def at(self, time_utc_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latitude and longitude on the line through the fixes, degrees."""
+        beside_deg = (self.longitude_deg - self.longitude_deg[0] + 180.0) % 360.0 - 180.0
+        north = np.interp(time_utc_s, self.time_utc_s, self.latitude_deg)
+        east = np.interp(time_utc_s, self.time_utc_s, beside_deg) + self.longitude_deg[0]
+        return north, east
+
     def covers(self, time_utc_s: FloatArray) -> BoolArray:
         """Which times lie between two fixes that are as close to each other as is usual here.
 
@@ -81,10 +92,57 @@ def runs_beside(first: Source, second: Source, *, same_times_are_two: bool = Fal
     nearest_s = _nearest_s(first.time_utc_s, second.time_utc_s)
     if same_times_are_two and (nearest_s == 0.0).mean() > _SHARE:
         return True
-    near = nearest_s < _BESIDE * min(_step_s(first.time_utc_s), _step_s(second.time_utc_s))
-    if near.mean() <= _SHARE:
+    steps_s = _step_s(first.time_utc_s), _step_s(second.time_utc_s)
+    near = nearest_s < _BESIDE * min(steps_s)
+    if near.mean() <= _SHARE or float(np.median(apart_m(first, second[near]))) <= FIT_M:
         return False
-    return float(np.median(apart_m(first, second[near]))) > FIT_M
+    # What has a fix a second or more often does not wait for the turn of another name.
+    return max(steps_s) <= _OFTEN_S or _offset_is_certain(first, second[near])
+
+
+def _offset_is_certain(first: Source, second: Source) -> bool:
+    """Whether two sources miss each other's line to opposite sides.
+
+    A turn or a gap takes both off the other's line to the same side; another antenna does not.
+    """
+    ahead = _off_line_m(first, second)
+    behind = _off_line_m(second, first)
+    for there, back in zip(ahead, behind, strict=True):
+        if min(len(there), len(back)) < _FEWEST:
+            return True
+        offset_m = (np.mean(there, axis=0) - np.mean(back, axis=0)) / 2.0
+        # The noise of one takes both means along, so that their deviations add up.
+        sigma_m = sum(
+            float(np.sqrt(np.var(off_m, axis=0).sum() / len(off_m))) for off_m in (there, back)
+        )
+        if np.hypot(*offset_m) > max(FIT_M, _CERTAIN * sigma_m / 2.0):
+            return True
+    return False
+
+
+def _off_line_m(line: Source, fixes: Source) -> tuple[FloatArray, FloatArray]:
+    """(M, 2) metres by which fixes miss the line of others: east and north, and across and ahead.
+
+    Args:
+        line: In the order of its times.
+        fixes: Those beyond its ends do not count.
+    """
+    fixes = fixes[line.covers(fixes.time_utc_s)]
+    north_deg, east_deg = line.at(fixes.time_utc_s)
+    metres = np.radians(1.0) * _EARTH_M
+    across = np.cos(np.radians(north_deg))
+    east_m = ((fixes.longitude_deg - east_deg + 180.0) % 360.0 - 180.0) * metres * across
+    off_m = np.stack([east_m, (fixes.latitude_deg - north_deg) * metres], axis=1)
+    before, after = (line.at(fixes.time_utc_s + lag_s) for lag_s in (-_USUAL_S, _USUAL_S))
+    way = np.stack([(after[1] - before[1]) * across, after[0] - before[0]], axis=1)
+    length = np.hypot(*way.T)
+    moves = length > 0.0
+    way = way[moves] / length[moves, None]
+    right = np.stack([way[:, 1], -way[:, 0]], axis=1)
+    turned = np.stack(
+        [(off_m[moves] * right).sum(axis=1), (off_m[moves] * way).sum(axis=1)], axis=1
+    )
+    return off_m, turned if moves.any() else off_m
 
 
 def of_one_receiver(names: np.ndarray, fixes: Source) -> BoolArray:
@@ -101,7 +159,7 @@ def of_one_receiver(names: np.ndarray, fixes: Source) -> BoolArray:
     for name in sources[np.argsort(-counts, kind="stable")]:
         own = fixes[known & (names == name)].sorted_by_time()
         if line is None or not runs_beside(line, own, same_times_are_two=True):
-            line = own if line is None else line.with_fixes_of(own)
+            line = own if line is None else line
             kept |= names == name
     return kept
 
@@ -113,10 +171,7 @@ def apart_m(line: Source, fixes: Source) -> FloatArray:
         line: In the order of its times.
         fixes: N of them.
     """
-    beside_deg = (line.longitude_deg - line.longitude_deg[0] + 180.0) % 360.0 - 180.0
-    north = np.interp(fixes.time_utc_s, line.time_utc_s, line.latitude_deg)
-    east = np.interp(fixes.time_utc_s, line.time_utc_s, beside_deg) + line.longitude_deg[0]
-    return distance_m(fixes.latitude_deg, fixes.longitude_deg, north, east)
+    return distance_m(fixes.latitude_deg, fixes.longitude_deg, *line.at(fixes.time_utc_s))
 
 
 def _nearest_s(times_s: FloatArray, others_s: FloatArray) -> FloatArray:

@@ -98,6 +98,7 @@ class TimedSentences:
             return rows
         names = names[np.argsort(-counts, kind="stable")]
         kept: BoolArray = rows & (self.receiver == names[0])
+        # The others are held against it alone: a line of several has more fixes than theirs.
         line = self._source(kept & fixes)
         for name in names[1:]:
             more = rows & (self.receiver == name)
@@ -106,7 +107,6 @@ class TimedSentences:
             own = self._source(more & fixes)
             if not backwards and not runs_beside(line, own, same_times_are_two=True):
                 kept |= more
-                line = line.with_fixes_of(own)
         return kept
 
     def _source(self, rows: BoolArray) -> Source:
