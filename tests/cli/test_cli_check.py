@@ -100,3 +100,24 @@ def test_check_of_what_is_not_there(sightline: Command, tmp_path: Path, name: st
     done = sightline("check", tmp_path / name)
     assert done.status == 2
     assert done.err.startswith(f"error: {tmp_path / name}: there is no such")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("log.txt", "time\tlatitude\tlongitude\n2024-06-01T10:00:00Z\t54.3\t10.1\n"),
+        ("log.csv", "# unit 7\n# time,lat,lon\n2024-06-01T10:00:00Z,54.3,10.1\n"),
+        ("ais.csv", "MMSI,BaseDateTime,LAT,LON\n211000001,2024-06-01T10:00:00,54.3,10.1\n"),
+        (
+            "log.json",
+            '{"class":"TPV","mode":3,"time":"2024-06-01T10:00:00Z","lat":54.3,"lon":10.1,"id":"ö"}\n',
+        ),
+    ],
+)
+def test_logs_are_known_by_what_is_in_them(
+    sightline: Command, tmp_path: Path, name: str, text: str
+) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    done = sightline("check", tmp_path / name)
+    assert done.status == 0
+    assert "1 fixes, 2024-06-01 10:00:00" in done.out
