@@ -334,7 +334,7 @@ def _leave_each_out(
         tell(f"fitting without {name}", i / len(names))
         try:
             if inputs is not None:
-                # Anew: the clocks of the others are told without it.
+                # Clocks stay as all recordings have told them together, if each was told.
                 rest = scene.without([name])
                 others = collect(rest, extra=extra, pictures=_asks_pictures(kind))
                 models[name] = fit_inputs(others, FitSettings(model=kind, seed=seed))
