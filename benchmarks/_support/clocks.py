@@ -30,6 +30,7 @@ def drawn_scene(
     *,
     seed: int = 21,
     duration_s: float = 90.0,
+    margin_s: float = 60.0,
     keys: str = "",
 ) -> Scene:
     """Recordings of one harbour, each with boxes that somebody drew of the logged boat.
@@ -39,6 +40,7 @@ def drawn_scene(
         offset_s: By recording, how far the camera's clock is ahead of the log's.
         seed: Of the boats and of all noise.
         duration_s: Of each recording.
+        margin_s: How much longer its log is before and after, 60 at most.
         keys: Further lines of each recording.
     """
     lines = []
@@ -57,7 +59,9 @@ def drawn_scene(
         times = times[(times > harbour.start_utc_s + 60.0) & (times < times[-1] - 60.0)]
         boxes = harbour.boxes(times, noise=BoxNoise(std_px=1.0, source="annotator"))
         _write(folder, name, boxes, late_s)
-        formats.write_fixes(harbour.fixes(ReceiverNoise()), folder / f"fixes-{name}.csv")
+        fixes = harbour.fixes(ReceiverNoise())
+        inside = np.abs(fixes.time_utc_s - times.mean()) <= 0.5 * np.ptp(times) + margin_s
+        formats.write_fixes(fixes[inside], folder / f"fixes-{name}.csv")
         lines += ["[[recordings]]", f'name = "{name}"', f'boxes = "boxes-{name}.csv"']
         lines += [f'fixes = "fixes-{name}.csv"', keys]
     site = [

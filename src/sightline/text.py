@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 import unicodedata
 
 _REPLACED = "\N{REPLACEMENT CHARACTER}"
 _LONE_SURROGATE = re.compile("[\ud800-\udfff]")
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+# Controls of eight bits, and what has no width: it hides, joins, or turns what follows round.
+_UNSEEN = re.compile(
+    "[\x7f-\x9f\xad\u034f\u061c\u070f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e"
+    "\u2060-\u206f\u3164\ufeff\uffa0\ufff9-\ufffb\U0001bca0-\U0001bca3\U0001d173-\U0001d17a"
+    "\U000e0000-\U000e0fff]"
+)
 # What a spreadsheet takes for the beginning of a formula, also where it is written full width.
 _FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
@@ -18,8 +25,16 @@ def encodable_text(text: str) -> str:
 
 
 def xml_text(text: str) -> str:
-    """A text without the control characters that no XML file can hold."""
-    return _NOT_IN_XML.sub(_REPLACED, text)
+    """A text without control characters: those that no XML can hold, and those of no width.
+
+    Marks that turn the direction of what follows make a name look like another.
+    """
+    return _UNSEEN.sub(_REPLACED, _NOT_IN_XML.sub(_REPLACED, text))
+
+
+def json_text(document: str) -> str:
+    r"""A JSON document whose characters of no width are written as ``\u202e``: it says the same."""
+    return _UNSEEN.sub(lambda found: json.dumps(found[0])[1:-1], encodable_text(document))
 
 
 def cell_text(text: str) -> str:

@@ -33,12 +33,28 @@ def test_check_refuses_what_a_run_refuses(
     scene, result = harbour / "scene.toml", tmp_path / "check.json"
     done = sightline("check", scene, "--json", result)
     assert done.status == 2
-    assert done.out.count("problem: ") == 2
+    assert done.out.count("problem: ") == 1
     assert "Nothing stands" not in done.out
+    # Each is said once.
+    for named in ("recordings[1].boxes names ", "clock names "):
+        assert (done.out + done.err).count(named) == 1
     assert done.err.startswith(f"error: {scene}: recordings[1].boxes names ")
     assert done.err.endswith("(and 1 more, above)\n")
     assert len(done.err.splitlines()) == 1
     assert json.loads(result.read_text())["refused"] is True
+
+
+def test_check_says_the_only_problem_once(sightline: Command, tmp_path: Path) -> None:
+    (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
+    (tmp_path / "empty.gpx").touch()
+    (tmp_path / "broken.mp4").write_bytes(bytes(range(256)))
+    (tmp_path / "scene.toml").write_text("[camera\n")
+    for path in sorted(tmp_path.iterdir()):
+        done = sightline("check", path)
+        assert done.status == 2
+        said = done.err.removeprefix("error: ").strip()
+        assert said.startswith(str(path))
+        assert done.out == ""
 
 
 @pytest.mark.slow
@@ -84,3 +100,24 @@ def test_check_of_what_is_not_there(sightline: Command, tmp_path: Path, name: st
     done = sightline("check", tmp_path / name)
     assert done.status == 2
     assert done.err.startswith(f"error: {tmp_path / name}: there is no such")
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("log.txt", "time\tlatitude\tlongitude\n2024-06-01T10:00:00Z\t54.3\t10.1\n"),
+        ("log.csv", "# unit 7\n# time,lat,lon\n2024-06-01T10:00:00Z,54.3,10.1\n"),
+        ("ais.csv", "MMSI,BaseDateTime,LAT,LON\n211000001,2024-06-01T10:00:00,54.3,10.1\n"),
+        (
+            "log.json",
+            '{"class":"TPV","mode":3,"time":"2024-06-01T10:00:00Z","lat":54.3,"lon":10.1,"id":"ö"}\n',
+        ),
+    ],
+)
+def test_logs_are_known_by_what_is_in_them(
+    sightline: Command, tmp_path: Path, name: str, text: str
+) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    done = sightline("check", tmp_path / name)
+    assert done.status == 0
+    assert "1 fixes, 2024-06-01 10:00:00" in done.out

@@ -309,9 +309,16 @@ def test_run_replaces_what_an_earlier_one_wrote_and_nothing_else(
     (out / "tracks").mkdir(parents=True)
     for name in ("report.html", "tracks/01.csv", "tracks/mine.csv"):
         (out / name).write_text("older")
-    assert sightline("run", harbour / "scene.toml", "-o", out, "--model", "qkr").status == 0
+    command = ("run", harbour / "scene.toml", "-o", out, "--model", "qkr")
+    done = sightline(*command)
+    assert done.status == 2
+    assert "report.html: exists and is not a report that sightline wrote" in done.err
+    assert {path.read_bytes() for path in out.rglob("*") if path.is_file()} == {b"older"}
+    assert sightline(*command, "--overwrite").status == 0
     old = [path.name for path in out.rglob("*") if path.is_file() and path.read_bytes() == b"older"]
     assert old == ["mine.csv"]
+    (out / "report.html").touch()
+    assert sightline(*command).status == 0
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]
 
 

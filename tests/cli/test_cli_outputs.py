@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from sightline.atomic import atomic_path
-from sightline.formats import read_tracks
+from sightline.formats import read_tracks, write_tracks
 from sightline.formats.kml import KmlTrackWriter
 
 Command = Callable[..., Any]
@@ -148,12 +148,13 @@ def test_a_writer_that_fails_spoils_no_other(
 
     monkeypatch.setattr(KmlTrackWriter, "add", fail)
     files = [tmp_path / f"t.{ending}" for ending in ("csv", "kml", "gpx")]
-    files[1].write_text("older")
+    write_tracks([], files[1])
+    older = files[1].read_bytes()
     done = sightline(*track(harbour, files[0], "-o", files[1], files[2]), "--json", tmp_path / "j")
     assert done.status == 2
     assert done.err == f"error: {files[1]}: cannot be written: No space left on device\n"
     assert len(read_tracks(files[0])) == len(read_tracks(files[2])) == 1
-    assert files[1].read_text() == "older"
+    assert files[1].read_bytes() == older
     assert json.loads((tmp_path / "j").read_text())["files"] == [str(files[0]), str(files[2])]
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from interruptions import start
 
-from sightline.formats import read_boxes, read_tracks
+from sightline.formats import read_boxes, read_tracks, write_tracks
 from sightline.types import Frame
 from sightline.video import write_video
 
@@ -192,14 +192,15 @@ def test_while_a_stream_is_being_opened(
 ) -> None:
     """A camera that takes the call and says nothing is never open."""
     out = tmp_path / "t.csv"
-    out.write_text("older")
+    write_tracks([], out)
+    before = out.read_bytes()
     with camera(b"", "silent") as port:
         process = start(track(harbour, STREAM.format(port=port), out), tmp_path)
         wait_for(process, unfinished(out))
         process.send_signal(sent)
         assert process.communicate(timeout=AT_MOST_S) == ("", "stopped\n")
     assert process.returncode == status
-    assert out.read_text() == "older"
+    assert out.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["harbour", "t.csv"]
 
 

@@ -59,8 +59,10 @@ def test_lines_and_warnings_are_text(monkeypatch: pytest.MonkeyPatch, colours: b
     monkeypatch.setattr(common, "stderr", console)
     common.say(NAME)
     common.say_aside("warning:", f"{NAME}\nsecond", "yellow")
+    common.warn(NAME)
     text = shown.getvalue()
     assert text.splitlines()[0] == SHOWN
+    assert "\u202e" not in text
     assert f"{SHOWN} second" in text
     # The colour of the first word is the program's own.
     assert text.count("\x1b") == (text.count("\x1b[1;33m") + text.count("\x1b[0m"))

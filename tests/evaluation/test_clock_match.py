@@ -39,7 +39,7 @@ def places(since_s: FloatArray, seed: int = 0) -> Positions:
 def test_the_offset_is_found_within_three_sigma(offset_s: float) -> None:
     since_s = np.arange(0.0, 90.0, 1.5)
     seen = places(since_s)
-    found = match_clock(START_S + since_s + offset_s, lambda _: seen, log())
+    found = match_clock(START_S + since_s + offset_s, seen, log())
     assert found is not None
     assert abs(found.offset_s - offset_s) < 3.0 * found.sigma_s
     assert found.sigma_s < 0.6
@@ -51,7 +51,7 @@ def test_errors_are_as_large_as_is_stated() -> None:
     scores = []
     for seed in range(40):
         seen = places(since_s, seed)
-        found = match_clock(START_S + since_s + 3.0, lambda _, seen=seen: seen, log())
+        found = match_clock(START_S + since_s + 3.0, seen, log())
         assert found is not None
         scores.append((found.offset_s - 3.0) / found.sigma_s)
     # A receiver may stand ahead or astern on its hull, which here it does not.
@@ -76,10 +76,8 @@ def test_a_stated_clock_holds_what_the_places_leave_open() -> None:
         PLANE,
         covariance - np.eye(2),
     )
-    open_s = match_clock(START_S + since_s, lambda _: seen, fixes)
-    held = match_clock(
-        START_S + since_s, lambda _: seen, fixes, prior=ClockPrior(0.0, 0.1, stated=True)
-    )
+    open_s = match_clock(START_S + since_s, seen, fixes)
+    held = match_clock(START_S + since_s, seen, fixes, prior=ClockPrior(0.0, 0.1, stated=True))
     assert open_s is not None
     assert held is not None
     assert abs(held.offset_s) < 0.2
@@ -89,8 +87,8 @@ def test_a_stated_clock_holds_what_the_places_leave_open() -> None:
 def test_too_few_places_tell_nothing() -> None:
     since_s = np.array([3.0, 9.0])
     seen = places(since_s)
-    assert match_clock(START_S + since_s, lambda _: seen, log()) is None
+    assert match_clock(START_S + since_s, seen, log()) is None
     since_s = np.arange(0.0, 30.0)
     seen = places(since_s)
     far = START_S + since_s + 20.0 * 86400.0
-    assert match_clock(far, lambda _: seen, log()) is None
+    assert match_clock(far, seen, log()) is None

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -334,3 +335,13 @@ def test_what_cannot_be_compared_is_refused_in_one_line(call, message: str) -> N
         call()
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_json_shows_what_has_no_width(tmp_path: Path) -> None:
+    name = "b\u202eta\u200bo\x9b\U000e0041\ud800 Möwe"
+    write_json(tmp_path / "a.json", {name: name})
+    text = (tmp_path / "a.json").read_text(encoding="utf-8")
+    assert text.isprintable() or text.replace("\n", "").isprintable()
+    assert "Möwe" in text
+    read = name.replace("\ud800", "\ufffd")
+    assert json.loads(text) == {read: read}

@@ -245,7 +245,15 @@ def test_a_table_that_keeps_whole_seconds(tmp_path: Path) -> None:
 
 
 def test_errors_name_the_file(tmp_path: Path) -> None:
-    rows = [f"{1.6e9 - s:.0f},54.3,10.1,{10 + s}" for s in SECONDS]
+    rows = [f"{1.6e9 + s * 7 % 20:.0f},54.3,10.1,{10 + s}" for s in SECONDS]
     path = table(tmp_path, "time_utc,latitude_deg,longitude_deg,heading_deg", rows)
-    with pytest.raises(InputError, match=r"log\.csv: headings: .*times must increase"):
+    with pytest.raises(InputError, match=r"log\.csv, line 5: .* is earlier than the fix before"):
         read_headings(path)
+
+
+def test_headings_that_stand_the_newest_first(tmp_path: Path) -> None:
+    rows = [f"{1.6e9 + s:.0f},54.3,10.1,{10 + s}" for s in SECONDS][::-1]
+    path = table(tmp_path, "time_utc,latitude_deg,longitude_deg,heading_deg", rows)
+    found = read_headings(path)
+    np.testing.assert_allclose(found.time_utc_s - 1.6e9, SECONDS)
+    np.testing.assert_allclose(found.heading_deg, 10.0 + np.array(SECONDS))

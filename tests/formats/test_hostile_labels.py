@@ -44,10 +44,18 @@ HOSTILE = {
     "surrogate": "a\ud800b\udfffc",
     "not a character": "a\ufffe\uffffb",
     "direction": "boat\u202etaob",
+    "isolates": "\u2067boat\u2069\u061c\u200e\u200f",
+    "no width": "b\u200bo\u200ca\u200dt\u2060\ufeff\xad",
+    "tags": "boat\U000e0041\U000e007f",
+    "lines": "boat\u2028\u2029",
+    "eight bits": "\x9b31mred\x85\x7f",
     "long": "x" * 5000,
     "blank": " \t\n ",
 }
 CONTROLS = dict.fromkeys([*range(9), 11, 12, *range(14, 32)], "\ufffd")
+# What has no width or turns the direction: category Cf, and the other half of Cc.
+UNSEEN = [*range(0x7F, 0xA0), 0xAD, 0x61C, *range(0x200B, 0x2010), *range(0x202A, 0x202F)]
+UNSEEN += [*range(0x2060, 0x2065), *range(0x2066, 0x2070), 0xFEFF, 0xE0041, 0xE007F]
 
 
 def track(label: str) -> Track:
@@ -73,7 +81,7 @@ def encodable(text: str) -> str:
 
 
 def in_xml(text: str) -> str:
-    bad = {**CONTROLS, 0xFFFE: "\ufffd", 0xFFFF: "\ufffd"}
+    bad = {**CONTROLS, **dict.fromkeys([0xFFFE, 0xFFFF, *UNSEEN], "\ufffd")}
     return encodable(text).translate(bad)
 
 

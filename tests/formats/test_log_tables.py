@@ -34,6 +34,10 @@ def minutes(value: float, letter: str) -> str:
     return f"{int(value)}°{(value - int(value)) * 60:.6f}'{letter}"
 
 
+def packed(value: float) -> str:
+    return f"{int(value) * 100 + (value - int(value)) * 60:.6f}"
+
+
 def dms(value: float, letter: str) -> str:
     whole = int(value * 60)
     return f"{letter}{whole // 60}° {whole % 60}' {(value * 60 - whole) * 60:.5f}\""
@@ -154,6 +158,28 @@ TEXTS = {
             lambda s: iso(s).replace("T", " ").replace("Z", "000000 +0000 UTC"), decimal, decimal
         )
     ),
+    "a header behind a mark": table("# time,lat,lon"),
+    "a header behind marks and words": table(
+        "#time\tlat\tlon", "{0}\t{1}\t{2}", before="# unit 7\n"
+    ),
+    "OwnTracks": table(
+        "tst,lat,lon,acc",
+        "{0},{1},{2},5",
+        rows=rows_of(lambda s: f"{START_S + s:.3f}", decimal, decimal),
+    ),
+    "BaseDateTime": table("BaseDateTime,LAT,LON,SOG,COG", "{0},{1},{2},6.1,17"),
+    "degrees and minutes as NMEA has them": table(
+        "time,lat,N/S,lon,E/W", "{0},{1},N,{2},E", rows=rows_of(iso, packed, packed)
+    ),
+    "degrees and minutes with directions": table(
+        "time,lat,lat_dir,lon,lon_dir", "{0},{1},N,{2},E", rows=rows_of(iso, packed, packed)
+    ),
+    "degrees and minutes with letters": table(
+        "utc;latitude;longitude", "{0};{1}N;{2}E", rows=rows_of(iso, packed, packed)
+    ),
+    "degrees and minutes by name": table(
+        "time,lat (ddmm.mmmm),lon (dddmm.mmmm)", rows=rows_of(iso, packed, packed)
+    ),
     "newest first": "\n".join(
         [table().splitlines()[0], *reversed(table().splitlines()[1:])]
     ),
@@ -186,11 +212,39 @@ def test_south_and_west(tmp_path: Path) -> None:
         ("time,lat,lon", f"{when},-33 30.0,-70 15.0"),
         ("time,lat,lon", f"{when},-335000000,-702500000"),
         ("time,lat,lon", f"{when},-33.5,289.75"),
+        ("time,lat,N/S,lon,E/W", f"{when},3330.000,S,07015.000,W"),
+        ("time,lat,lon", f"{when},3330S,7015W"),
+        ("time,lat_ddmm,lon_ddmm", f"{when},-3330.000,-7015.000"),
     ):
         path.write_text(f"{header}\n{cells}\n".replace('"', ""), encoding="utf-8")
         fixes = read_fixes(path)
         assert fixes.latitude_deg[0] == pytest.approx(-33.5, abs=1e-9), cells
         assert fixes.longitude_deg[0] == pytest.approx(-70.25, abs=1e-9), cells
+
+
+def test_degrees_and_minutes_near_zero(tmp_path: Path) -> None:
+    """Without its zeros nothing tells 0030.0 from thirty degrees."""
+    path = tmp_path / "log.csv"
+    path.write_text("time,lat,ns,lon,ew\n2024-06-01T10:00:00Z,0030.0,N,00115.0,W\n")
+    fixes = read_fixes(path)
+    assert fixes.latitude_deg[0] == pytest.approx(0.5, abs=1e-12)
+    assert fixes.longitude_deg[0] == pytest.approx(-1.25, abs=1e-12)
+    path.write_text("time,lat,ns,lon,ew\n2024-06-01T10:00:00Z,54.5,N,10.25,W\n")
+    fixes = read_fixes(path)
+    assert (fixes.latitude_deg[0], fixes.longitude_deg[0]) == (54.5, -10.25)
+
+
+def test_minutes_that_cannot_be_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    rows = [
+        (iso(s), packed(v), packed(w)) for s, v, w in zip(SECONDS, LATITUDE, LONGITUDE, strict=True)
+    ]
+    rows[4] = (rows[4][0], "5479.0", rows[4][2])
+    path.write_text(table("time,lat,ns,lon,ew", "{0},{1},N,{2},E", rows=rows))
+    tally = Tally(path)
+    assert len(read_fixes(path, tally=tally)) == N - 1
+    assert tally.left_out["with a place that is not on the earth"].row == "line 6"
+    assert "degrees and minutes" in "".join(tally.notes)
 
 
 def test_a_table_needs_no_suffix(tmp_path: Path) -> None:

@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from _support.sentences import (
+    LATITUDE_DEG,
+    LONGITUDE_DEG,
     NOON_S,
     clock,
+    degrees_minutes,
     gga,
     gll,
     gns,
     hdt,
+    north_deg,
     off_m,
     place,
     received,
@@ -294,3 +298,76 @@ def test_a_log_of_instruments_that_has_no_place(tmp_path: Path) -> None:
 def test_sentences_of_the_right_kind_after_much_else(tmp_path: Path) -> None:
     talk = sentence("GPGSV,3,1,11,03,03,111,00,04,15,270,00,06,01,010,00,13,06,292,00") + "\r\n"
     check(read(tmp_path / "log.nmea", talk * 1200 + lines(rmc))[0])
+
+
+def beside(second: float, *, talker: str, source: str = "", metres: float = 8.0) -> str:
+    """RMC of a receiver that stands to the east of the first, half a second out of step with it."""
+    latitude = place(second + 0.5).split(",E")[0].rpartition(",")[0]
+    east = degrees_minutes(LONGITUDE_DEG + metres / 64_900.0, 3)
+    body = f"{talker}RMC,{clock(second + 0.5)},A,{latitude},{east},E,6.0,0.0,300920,,,A"
+    return (f"\\s:{source}*00\\" if source else "") + sentence(body)
+
+
+@pytest.mark.parametrize("metres", [1.0, 8.0, 40.0])
+@pytest.mark.parametrize("other", ["GN", "II"])
+def test_a_receiver_out_of_step_is_not_mixed_in(tmp_path: Path, other: str, metres: float) -> None:
+    text = lines(rmc, lambda s: beside(s, talker=other, metres=metres)) + rmc(20) + "\n"
+    fixes, tally = read(tmp_path / "log.nmea", text)
+    check(fixes, range(21))
+    np.testing.assert_allclose(fixes.longitude_deg, LONGITUDE_DEG, rtol=0, atol=1e-8)
+    assert tally.left_out[f"RMC of another receiver ({other})"].count == 20
+    assert tally.left_out[f"RMC of another receiver ({other})"].row == "line 2"
+
+
+def test_sources_of_tag_blocks_are_receivers(tmp_path: Path) -> None:
+    """The one with more fixes is used, although the other begins."""
+    makers = (
+        lambda s: beside(s, talker="GP", source="aft") if s % 2 == 0 else "",
+        lambda s: f"\\s:mast,n:7*00\\{rmc(s)}",
+    )
+    fixes, tally = read(tmp_path / "log.nmea", lines(*makers))
+    check(fixes)
+    np.testing.assert_allclose(fixes.longitude_deg, LONGITUDE_DEG, rtol=0, atol=1e-8)
+    assert tally.left_out["RMC of another receiver (GP, aft)"].count == 10
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 5.0])
+def test_a_receiver_that_changes_its_talker_is_one(tmp_path: Path, noise_m: float) -> None:
+    """It is GN while it has two systems, and now and then GP for some seconds."""
+    names = np.where(np.isin(np.arange(60) % 17, (3, 4, 5, 11)), "GP", "GN")
+    off_m = noise_m * np.sin(2.0 * np.arange(60) ** 2)
+
+    def made(second: int) -> str:
+        latitude = degrees_minutes(north_deg(second) + off_m[second] / 111_320.0, 2)
+        east = degrees_minutes(LONGITUDE_DEG, 3)
+        body = f"{names[second]}RMC,{clock(second)},A,{latitude},N,{east},E,6.0,0.0,300920,,,A"
+        return sentence(body) + "\r\n"
+
+    fixes, tally = read(tmp_path / "log.nmea", "".join(map(made, range(60))))
+    assert len(fixes) == 60
+    assert not tally.left_out
+
+
+@pytest.mark.parametrize("talkers", [("GN", "GL", "GA", "GB"), ("GP", "GL")])
+def test_talkers_that_take_turns_in_a_turn_are_one_receiver(
+    tmp_path: Path, talkers: tuple[str, ...]
+) -> None:
+    """It circles at 10 m/s with 20 m radius, so that no line of one talker meets the others'."""
+    angle = np.arange(61) * 0.5
+    noise = np.random.default_rng(3).normal(0.0, 1.0, (2, 61))
+    north_m, east_m = 20.0 * np.cos(angle) + noise[0], 20.0 * np.sin(angle) + noise[1]
+
+    def made(second: int, shift_m: float = 0.0) -> str:
+        latitude = degrees_minutes(LATITUDE_DEG + north_m[second] / 111_320.0, 2)
+        longitude = LONGITUDE_DEG + (east_m[second] + shift_m) / 64_900.0
+        where = f"{latitude},N,{degrees_minutes(longitude, 3)},E"
+        talker = talkers[second % len(talkers)]
+        return sentence(f"{talker}RMC,{clock(second)},A,{where},6.0,0.0,300920,,,A") + "\r\n"
+
+    fixes, tally = read(tmp_path / "log.nmea", "".join(map(made, range(61))))
+    assert len(fixes) == 61
+    assert not tally.left_out
+    # What is 15 m to the east all the time is another antenna.
+    shifted = "".join(made(i, 15.0 * (i % len(talkers) == 1)) for i in range(61))
+    _, tally = read(tmp_path / "log.nmea", shifted)
+    assert tally.left_out[f"RMC of another receiver ({talkers[1]})"].count == 60 // len(talkers)

@@ -133,6 +133,12 @@ TABLES = {
     ),
     "centres.csv": lines(centre, "frame_id,id,cx,cy,w,h,conf"),
     "shares.csv": lines(shares, NAMED),
+    "shares.txt": lines(
+        lambda r: mot(r).replace(
+            f"{r.x1},{r.y1},{r.size[0]},{r.size[1]}",
+            f"{r.x1 / 1280:.9f},{r.y1 / 720:.9f},{r.size[0] / 1280:.9f},{r.size[1] / 720:.9f}",
+        )
+    ),
     "percent-places.csv": lines(lambda r: shares(r, 100.0), NAMED),
 }
 
@@ -285,6 +291,124 @@ def test_a_column_that_is_not_used_is_named(tmp_path: Path) -> None:
     assert tally.notes == ["the column speed is not used"]
 
 
+def yolo(row: Row, *, name: int = 0, end: bool = True, conf: bool = True) -> str:
+    """A frame, and what Ultralytics writes of each box: class, centre, size, confidence, id."""
+    w, h = row.size
+    width, height = SIZE_PX
+    centre_x, centre_y = (row.x1 + w / 2) / width, (row.y1 + h / 2) / height
+    cells = [row.frame + 1, name, centre_x, centre_y, w / width, h / height]
+    told = [row.conf] * conf + [row.track] * end
+    return " ".join(f"{c:.9f}" if isinstance(c, float) else f"{c}" for c in [*cells, *told])
+
+
+def at_the_edge(rows: list[Row] = ROWS) -> list[Row]:
+    """The same, moved until the last touches the right edge."""
+    shift = SIZE_PX[0] - max(row.x2 for row in rows)
+    return [row._replace(x1=row.x1 + shift, x2=row.x2 + shift) for row in rows]
+
+
+@pytest.mark.parametrize("conf", [True, False])
+@pytest.mark.parametrize("suffix", [".txt", ".csv"])
+def test_labels_of_yolo_behind_their_frame_are_centres(
+    tmp_path: Path, suffix: str, conf: bool
+) -> None:
+    """Two boxes of a frame have the same class, so the second column is no id."""
+    path = tmp_path / f"yolo{suffix}"
+    path.write_text("".join(yolo(row, conf=conf) + "\n" for row in ROWS))
+    tally = Tally(path)
+    boxes = read_boxes(path, image_size_px=SIZE_PX, tally=tally)
+    check(boxes, [row if conf else row._replace(conf=1.0) for row in ROWS])
+    assert "as YOLO writes them" in tally.notes[0]
+    with pytest.raises(InputError, match="whose size is not known here"):
+        read_boxes(path)
+
+
+def test_one_target_in_shares_is_told_by_its_id_or_the_edge_or_refused(tmp_path: Path) -> None:
+    path = tmp_path / "yolo.txt"
+    edge = [row for row in at_the_edge() if row.track == 3]
+    path.write_text("".join(yolo(row) + "\n" for row in edge))
+    check(read_boxes(path, image_size_px=SIZE_PX), edge)
+    path.write_text("".join(yolo(row) + "\n" for row in ROWS if row.track == 3))
+    check(read_boxes(path, image_size_px=SIZE_PX), [row for row in ROWS if row.track == 3])
+    path.write_text("".join(yolo(row, conf=False) + "\n" for row in ROWS if row.track == 3))
+    with pytest.raises(InputError, match="write a header, as frame,class_id,xc,yc,w,h,conf,track"):
+        read_boxes(path, image_size_px=SIZE_PX)
+    head = "frame,class_id,xc,yc,w,h,track_id\n".replace(",", " ")
+    path.write_text(head + path.read_text())
+    alone = [row._replace(conf=1.0) for row in ROWS if row.track == 3]
+    check(read_boxes(path, image_size_px=SIZE_PX), alone)
+
+
+def test_classes_first_in_pixels_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.txt"
+    path.write_text(lines(lambda r: f"{r.frame},0,{r.x1},{r.y1},40.5,18.75,{r.conf},{r.track}"))
+    with pytest.raises(InputError, match="nothing tells whether its rows are frame,id,left,top"):
+        read_boxes(path, image_size_px=SIZE_PX)
+
+
+CENTRED = {
+    "xc,yc,w,h": "xc,yc,w,h",
+    "cx,cy": "cx,cy,w,h",
+    "x_center": "x_center,y_center,width,height",
+    "xywh of Ultralytics": "xywh_x,xywh_y,xywh_w,xywh_h",
+}
+
+
+@pytest.mark.parametrize("unit", ["px", "shares"])
+@pytest.mark.parametrize("names", CENTRED.values(), ids=CENTRED)
+def test_centres_by_name(tmp_path: Path, names: str, unit: str) -> None:
+    path = tmp_path / "boxes.csv"
+    scale = np.array([*SIZE_PX, *SIZE_PX]) if unit == "shares" else 1.0
+
+    def row(r: Row) -> str:
+        four = np.array([(r.x1 + r.x2) / 2, (r.y1 + r.y2) / 2, *r.size]) / scale
+        return f"{r.frame},{','.join(f'{v:.10f}' for v in four)},{r.conf},{r.track},0"
+
+    path.write_text(lines(row, f"frame,{names},conf,id,cls"))
+    check(read_boxes(path, image_size_px=SIZE_PX))
+
+
+def xywh(row: Row, middle: bool) -> str:
+    w, h = row.size
+    x, y = (row.x1 + w / 2, row.y1 + h / 2) if middle else (row.x1, row.y1)
+    return f"{row.frame},{x},{y},{w},{h},{row.conf},{row.track}"
+
+
+def test_bare_x_and_y_are_told_by_the_edges_of_the_picture(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.csv"
+    right = at_the_edge()
+    shift = min(row.x1 for row in ROWS)
+    left = [row._replace(x1=row.x1 - shift, x2=row.x2 - shift) for row in ROWS]
+    for head in ("frame,x,y,w,h,conf,id", "frame,x,y,width,height,conf,id"):
+        path.write_text(head + "\n" + "".join(xywh(row, True) + "\n" for row in right))
+        tally = Tally(path)
+        check(read_boxes(path, image_size_px=SIZE_PX, tally=tally), right)
+        assert "its x,y are taken for the centre" in tally.notes[0]
+        path.write_text(head + "\n" + "".join(xywh(row, False) + "\n" for row in left))
+        tally = Tally(path)
+        check(read_boxes(path, image_size_px=SIZE_PX, tally=tally), left)
+        assert not tally.notes
+
+
+def test_bare_x_and_y_that_nothing_tells(tmp_path: Path) -> None:
+    path = tmp_path / "boxes.csv"
+    path.write_text(lines(lambda r: xywh(r, False), "frame,x,y,w,h,conf,id"))
+    tally = Tally(path)
+    check(read_boxes(path, image_size_px=SIZE_PX, tally=tally))
+    assert "taken for the upper left corner; if they are the centre, call them" in tally.notes[0]
+    path.write_text(lines(lambda r: xywh(r, True) + ",8", "frame,x,y,w,h,conf,id,cls"))
+    with pytest.raises(InputError, match="call the columns xc,yc,w,h or left,top,width,height"):
+        read_boxes(path, image_size_px=SIZE_PX)
+    path.write_text(lines(lambda r: yolo(r).replace(" ", ","), "frame,cl,x,y,w,h,conf,id"))
+    with pytest.raises(InputError, match="x,y,w,h may be the centre"):
+        read_boxes(path, image_size_px=SIZE_PX)
+    # Roboflow gives each detection an id of its own, and its centre.
+    path.write_text(
+        lines(lambda r: xywh(r, True) + ",a-b", "frame,x,y,width,height,confidence,id,detection_id")
+    )
+    check(read_boxes(path, image_size_px=SIZE_PX))
+
+
 HUGE = "1" + "0" * 400
 
 
@@ -321,6 +445,11 @@ HUGE = "1" + "0" * 400
         ),
         ("a.csv", "frame,x1,y1,x2,y2,track_id\n0,1,2,3,4,boat-7\n", "boat-7 is no number"),
         ("a.csv", "# nothing\n\n", "holds no table"),
+        (
+            "a.txt",
+            "0 0.51 0.52 0.1 0.05\n8 0.21 0.32 0.1 0.05\n",
+            "has 5 columns; .* put them into one table with the header frame,class_id,xc,yc,w,h",
+        ),
         ("a.csv", "frame,x,y,w,h\n0,1e308,0,1e308,4\n", "line 2: inf is too large a number"),
     ],
 )

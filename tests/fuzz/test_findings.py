@@ -83,6 +83,22 @@ TEXTS = {
         "a.nmea",
         sentences(RMC, RMC.replace("01008.36400", "NaN"), RMC.replace("100000", "100001")),
     ),
+    # Texts that no encoding can hold.
+    "gpsd with lone surrogates": (
+        "log: JSON lines",
+        "a.json",
+        b'{"class":"TPV","mode":3,"device":"\\udcff","time":"\\ud800","lat":"\\ud800","lon":1}\n',
+    ),
+    "geojson of lone surrogates": (
+        "log: GeoJSON",
+        "a.geojson",
+        (
+            b'{"type":"Feature","properties":{"coordTimes":["\\ud800"]},'
+            b'"geometry":{"type":"LineString","coordinates":[["\\udcff",1]]}}'
+        ),
+    ),
+    # A text of thousands of letters in a message.
+    "geojson with a long kind": ("tracks: GeoJSON", "a.geojson", geojson(kind="a" * 5000)),
     # Messages of AIS that end before the place, and before the second.
     "ais without a place": ("log: AIS", "a.nmea", sentences(AIS.format("139>JhO"))),
     "ais without a second": (

@@ -11,13 +11,14 @@ import av
 import cv2
 import numpy as np
 import pytest
+from _support.clocks import drawn_scene, unlabelled_scene
 
 import sightline
 from sightline import formats
 from sightline.errors import SightlineError
 from sightline.pipeline.check import CheckReport, check, check_scene
 from sightline.pipeline.file_checks import hours_apart
-from sightline.scene import Scene
+from sightline.scene import Recording, Scene
 from sightline.simulation.simulate import SimulationSettings, simulate
 from sightline.types import Fixes, Frame
 from sightline.video import write_video
@@ -155,7 +156,8 @@ def test_one_recording_without_overlap_is_a_warning(harbour: Path) -> None:
     report = checked(harbour)
     assert report.problems == []
     assert "1 hour later" in report.warnings[0]
-    assert report.recordings[0].overlap == 0.0
+    # By the clock that its boxes tell.
+    assert report.recordings[0].overlap == 1.0
     assert report.recordings[1].overlap == 1.0
 
 
@@ -379,3 +381,80 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     assert check(tmp_path / "nothing.csv").problems == [
         f"{tmp_path / 'nothing.csv'}: there is no such file"
     ]
+
+
+MARGIN_S = 5.0
+
+
+def late_scene(folder: Path, ahead_s: float, duration_s: float = 60.0) -> Scene:
+    """Drawn boxes by a clock that is ahead, and logs that begin and end with the recordings."""
+    both = {"01": ahead_s, "02": ahead_s}
+    return drawn_scene(folder, both, duration_s=duration_s, margin_s=MARGIN_S)
+
+
+def cut_log(recording: Recording, begin_utc_s: float, end_utc_s: float) -> None:
+    """The log of a recording between two times."""
+    fixes, path = recording.fixes(), recording.fixes_path
+    assert path is not None
+    inside = (fixes.time_utc_s >= begin_utc_s) & (fixes.time_utc_s <= end_utc_s)
+    formats.write_fixes(fixes[inside], path)
+
+
+@pytest.mark.parametrize("ahead_s", [40.0, pytest.param(-40.0, marks=pytest.mark.slow)])
+def test_an_overlap_is_judged_by_the_clock_that_a_run_takes(tmp_path: Path, ahead_s: float) -> None:
+    """By the camera's own clock the log has fixes for a third of it."""
+    report = check(late_scene(tmp_path, ahead_s).path)
+    assert not [line for line in report.warnings if "fixes at most" in line]
+    for one in report.recordings:
+        assert one.overlap == 1.0
+        assert one.clock is not None
+        assert abs(one.clock.offset_s - ahead_s) < 3.0 * one.clock.sigma_s
+        assert one.clock.words in one.said
+
+
+@pytest.mark.slow
+def test_a_log_that_a_late_clock_is_out_of_is_no_problem(tmp_path: Path) -> None:
+    scene = late_scene(tmp_path, 50.0, 40.0)
+    report = check(scene.path)
+    assert report.problems == []
+    said = [line for line in report.warnings if "does not overlap" in line]
+    assert len(said) == 2
+    assert all("ahead of the log by its boxes, which is taken off" in line for line in said)
+    assert [one.overlap for one in report.recordings] == [1.0, 1.0]
+    assert not run_refuses(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_log_that_ends_too_early_is_said_whatever_the_clock(tmp_path: Path) -> None:
+    scene = late_scene(tmp_path, 0.0)
+    begin_utc_s = scene["01"].boxes().time_utc_s[0]
+    cut_log(scene["01"], begin_utc_s, begin_utc_s + 20.0)
+    report = check(scene.path)
+    (line,) = [line for line in report.warnings if "fixes at most" in line]
+    assert line.startswith("recording 01: ")
+    assert report.recordings[0].overlap == pytest.approx(20.0 / 60.0, abs=0.05)
+    assert report.recordings[0].clock is None
+
+
+def test_where_no_boxes_are_drawn_a_check_says_what_a_clock_would_do(tmp_path: Path) -> None:
+    """Nothing is fitted by a check, and so nothing tells that clock yet."""
+    scene = unlabelled_scene(tmp_path, 40.0)
+    (recording,) = scene.recordings
+    begin_utc_s = recording.detections().time_utc_s.min() - 40.0
+    cut_log(recording, begin_utc_s - MARGIN_S, begin_utc_s + 55.0)
+    (line,) = [x for x in check(scene.path).warnings if "fixes at most" in x]
+    found = re.search(r"were its clock (\d+) s ahead of the log's, .* for (\d+) %", line)
+    assert found is not None
+    ahead_s, share = map(int, found.groups())
+    assert 40 <= ahead_s <= 46
+    assert share == pytest.approx(100.0 * 60.0 / 120.0, abs=2.0)
+    assert line.endswith("a run looks whether it is")
+
+
+def test_a_stated_clock_is_taken_off_frames_as_well(harbour: Path) -> None:
+    write_video(harbour / "01.mp4", picture_frames())
+    shift_log(harbour, seconds=-500.0)
+    with_video(harbour, "start_utc = 2024-06-01T10:00:00Z\nclock_offset_s = 500.0")
+    report = checked(harbour)
+    assert report.problems == []
+    assert report.recordings[0].overlap == 1.0

@@ -9,6 +9,7 @@ import pytest
 from _support.clocks import CAMERA, drawn_scene, unlabelled_scene
 
 import sightline
+from sightline import formats
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.evaluate import evaluate, place_boxes
@@ -134,6 +135,48 @@ def error_m(made: Track, scene: Scene, name: str) -> float:
         np.interp(at, fixes.time_utc_s, north) - made.north_m,
     )
     return float(np.sqrt(np.mean(off**2)))
+
+
+@pytest.mark.parametrize("seed", [21, 31])
+@pytest.mark.parametrize("offset_s", [-58.0, -40.0, 40.0])
+def test_a_clock_is_found_though_the_log_is_no_longer_than_its_recording(
+    tmp_path: Path, offset_s: float, seed: int
+) -> None:
+    """By the camera's own clock most boxes have no place, and the few lie where others are."""
+    both = {"01": offset_s, "02": offset_s}
+    scene = drawn_scene(tmp_path, both, seed=seed, duration_s=60.0, margin_s=5.0)
+    for recording in settled(scene).recordings:
+        clock = recording.clock_found
+        assert clock is not None
+        assert clock.used_s == clock.offset_s
+        assert abs(clock.offset_s - offset_s) < 3.0 * clock.sigma_s
+
+
+@pytest.mark.parametrize(("seed", "offset_s"), [(116, 20.0), (118, 20.0), (118, 30.0), (120, 20.0)])
+def test_what_most_boxes_fit_is_no_clock_where_another_gives_all_a_place(
+    tmp_path: Path, seed: int, offset_s: float
+) -> None:
+    """One recording by itself, of which some camera fits most boxes at the wrong clock."""
+    scene = drawn_scene(tmp_path, {"01": offset_s}, seed=seed, duration_s=60.0, margin_s=5.0)
+    clock = settled(scene)["01"].clock_found
+    assert clock is not None
+    assert clock.used_s == clock.offset_s
+    assert abs(clock.offset_s - offset_s) < 3.0 * clock.sigma_s
+
+
+@pytest.mark.parametrize("seed", [21, 31])
+@pytest.mark.parametrize("part_s", [(19.0, 41.0), (-60.0, 25.0), (-60.0, 40.0), (20.0, 120.0)])
+def test_a_log_of_part_of_a_recording_makes_its_clock_no_other(
+    tmp_path: Path, seed: int, part_s: tuple[float, float]
+) -> None:
+    """Though another clock might give more boxes a place."""
+    scene = drawn_scene(tmp_path, {"01": 0.0}, seed=seed, duration_s=60.0)
+    recording = scene["01"]
+    fixes, path = recording.fixes(), recording.fixes_path
+    assert path is not None
+    since_s = fixes.time_utc_s - recording.boxes().time_utc_s[0]
+    formats.write_fixes(fixes[(since_s >= part_s[0]) & (since_s <= part_s[1])], path)
+    assert settled(Scene.load(scene.path))["01"].clock_offset_s == 0.0
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.pipeline.track import track
-from sightline.types import Boxes
+from sightline.pipeline.track import iter_tracks, track
+from sightline.types import Boxes, Frame
+from sightline.video import write_video
 
 START = 1_717_236_000.0
 
@@ -32,6 +34,39 @@ def test_boxes_that_begin_no_track_are_counted(
     with caplog.at_level(logging.WARNING):
         assert len(track(boxes, fitted("camera"))) == count
     assert ("no track came of 48 boxes" in caplog.text) == (count == 0)
+
+
+def test_no_track_of_what_was_stopped_is_no_warning(
+    fitted: Callable[[str], Georeferencer], caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    """Who stops at once expects none."""
+    image = np.full((720, 1280, 3), 150, np.uint8)
+
+    class Boat:
+        name = "boat"
+        stop: threading.Event | None = None
+
+        def detect(self, frame: Frame) -> Boxes:
+            if self.stop is not None and frame.index == 3:
+                self.stop.set()
+            box = [[300.0, 420.0, 340.0, 440.0]]
+            return Boxes.of(box, frame=frame.index, time_utc_s=frame.time_utc_s, confidence=0.9)
+
+        def reset(self) -> None:
+            pass
+
+    path = tmp_path / "a.mp4"
+    write_video(path, (Frame(i, START + 0.1 * i, image) for i in range(8)))
+    for stop in (None, threading.Event()):
+        detector = Boat()
+        detector.stop = stop
+        caplog.clear()
+        with caplog.at_level(logging.WARNING):
+            found = iter_tracks(
+                path, fitted("camera"), detector=detector, start_utc_s=START, stop=stop
+            )
+            assert not list(found)
+        assert ("no track came of 8 boxes" in caplog.text) == (stop is None)
 
 
 def test_shares_of_the_picture_become_pixels_of_the_model(

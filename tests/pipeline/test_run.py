@@ -12,12 +12,14 @@ from sightline import Scene, fit, run
 from sightline.cli.run import result_dict
 from sightline.errors import FitError
 from sightline.evaluation.report import pair_target
-from sightline.formats import read_boxes, write_boxes
-from sightline.pipeline.evaluate import LocatedRecording, place_boxes
+from sightline.formats import read_boxes, read_fixes, write_boxes
+from sightline.formats.fixes_csv import write_fixes_csv
+from sightline.pipeline.evaluate import LocatedRecording, compare, left_out_inputs, place_boxes
 from sightline.pipeline.fit_unlabelled import fit_scene
 from sightline.pipeline.run import RunResult, track_recording
 from sightline.pipeline.track import TrackSettings
 from sightline.reporting.run_report import write_run
+from sightline.scene.correspondences import collect
 from sightline.scene.detections import SceneDetections
 from sightline.simulation.simulate import SimulationSettings, simulate
 
@@ -131,3 +133,60 @@ def test_nothing_stands_apart_where_each_recording_was_left_out(tmp_path: Path) 
     assert result.smoothed_learned_from is None
     assert result.single_learned_from is None
     assert not any("left out" in note for note in result.notes)
+
+
+@pytest.mark.slow
+def test_a_scene_is_collected_once_as_a_whole_at_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = simulate(
+        tmp_path / "harbour",
+        SimulationSettings(video=False, recordings=3, duration_s=30.0, rate_hz=2.0, seed=1),
+    )
+    asked: list[tuple[str, ...]] = []
+
+    def counted(scene: Scene, **options: object) -> object:
+        asked.append(tuple(recording.name for recording in scene.recordings))
+        return collect(scene, **options)  # type: ignore[arg-type]
+
+    for module in ("run", "evaluate", "fit"):
+        monkeypatch.setattr(f"sightline.pipeline.{module}.collect", counted)
+    pairs = [("02", "03"), ("01", "03"), ("01", "02")]
+    ran = run(Scene.load(made.scene), model="qkr")
+    assert ran.left_out == ("01", "02", "03")
+    assert asked == [("01", "02", "03"), *pairs]
+    asked.clear()
+    _, placed = compare(Scene.load(made.scene), ["qkr"])
+    assert [one.recording for one in placed["qkr"]] == ["01", "02", "03"]
+    assert asked == pairs
+
+
+@pytest.mark.slow
+def test_a_recording_that_teaches_nothing_is_not_left_out_of_a_comparison(tmp_path: Path) -> None:
+    made = simulate(
+        tmp_path / "harbour",
+        SimulationSettings(video=False, recordings=3, duration_s=30.0, rate_hz=2.0, seed=1),
+    )
+    scene = Scene.load(made.scene)
+    fixes = read_fixes(tmp_path / "harbour" / "target.gpx")
+
+    def with_early(early_s: float, *names: str) -> Scene:
+        """The scene with logs that end so long before the second recording."""
+        end_s = scene["02"].boxes().time_utc_s.min() - early_s
+        early = replace(fixes, time_utc_s=fixes.time_utc_s - (fixes.time_utc_s.max() - end_s))
+        path = tmp_path / f"{early_s}.csv"
+        write_fixes_csv(early, path)
+        recordings = [
+            replace(r, fixes_path=path if r.name in names else r.fixes_path)
+            for r in scene.recordings
+        ]
+        return replace(scene, recordings=tuple(recordings))
+
+    # No time zone explains days.
+    days_s = 5.0 * 86_400.0
+    assert set(left_out_inputs(with_early(days_s, "02"), pictures=False)) == {"01", "03"}
+    with pytest.raises(FitError, match=r"needs at least two recordings .* there is 1"):
+        left_out_inputs(with_early(days_s, "02", "03"), pictures=False)
+    # One explains an hour, though not in every recording.
+    every = left_out_inputs(with_early(3600.0, "02", "03"), pictures=False)
+    assert "01" in every

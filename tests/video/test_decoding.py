@@ -414,3 +414,127 @@ def test_fields_that_are_packets_each(tmp_path: Path) -> None:
     assert index == numbers == list(range(24))
     assert presentation_of_packets(str(path), Tally(path)) is None
     agree(path, index, times_s, 24)
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts"])
+@pytest.mark.parametrize("b_frames", [0, 2, 3])
+@pytest.mark.parametrize("behind", [5, 12, 13, 20, 38])
+def test_a_gap_in_a_variable_rate(tmp_path: Path, name: str, b_frames: int, behind: int) -> None:
+    # The first picture behind the gap is decoded before those in front of it that lean on it.
+    times = np.cumsum(np.random.default_rng(0).integers(20, 120, 40))
+    times = times - times[0]
+    times[behind:] += 20_000
+    path = write(tmp_path / name, times.tolist(), b_frames=b_frames)
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    assert index == numbers == list(range(40))
+    assert tally.read["frames"] == 40
+    assert tally.total_left_out == 0
+    np.testing.assert_allclose(times_s, times / 1000.0, rtol=0, atol=1e-4)
+    (note,) = tally.notes
+    assert f"jumps ahead at frame {behind}, by up to 20.1 s" in note or "20.0 s" in note
+    agree(path, index, times_s, 40)
+
+
+@pytest.mark.parametrize("b_frames", [0, 2])
+@pytest.mark.parametrize("wrong", [(3,), (20,), (37,), (20, 30), (20, 23)])
+@pytest.mark.parametrize("bit", [9, 11, 13, 15])
+def test_wrong_times_in_matroska(
+    tmp_path: Path, b_frames: int, wrong: tuple[int, ...], bit: int
+) -> None:
+    times = [0, *np.cumsum(np.random.default_rng(3).integers(30, 200, 59)).tolist()]
+    path = write(tmp_path / "a.mkv", times, b_frames=b_frames)
+    data, places = bytearray(path.read_bytes()), packet_places(path)
+    for ordinal in wrong:
+        # Before a block's data stand its time, 16 bits of milliseconds, and a byte of flags.
+        data[places[ordinal][0] - 3 + (0 if bit > 7 else 1)] ^= 1 << bit % 8
+    path.write_bytes(data)
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    # No frame is lost, and none counted twice: 60 of 60.
+    assert index == numbers == list(range(60))
+    assert tally.read["frames"] == 60
+    assert tally.total_left_out == 0
+    off_s = np.abs(np.array(times_s) - np.array(times) / 1000.0)
+    assert (off_s > 1e-3).sum() <= 2 * len(wrong)
+    assert off_s.max() < 0.6
+    agree(path, index, times_s, 60)
+
+
+@pytest.mark.parametrize("late_ms", [700, 3000, -3000])
+def test_a_wrong_time_that_packets_do_not_show_at_the_beginning(
+    tmp_path: Path, late_ms: int
+) -> None:
+    times = list(range(0, 12_000, 100))
+    path = write(tmp_path / "a.mkv", times, b_frames=2)
+    data, places = bytearray(path.read_bytes()), packet_places(path)
+    place = places[100][0] - 3
+    own = int.from_bytes(data[place : place + 2], "big", signed=True) + late_ms
+    data[place : place + 2] = own.to_bytes(2, "big", signed=True)
+    path.write_bytes(data)
+    index, times_s, numbers = seen(path)
+    assert index == numbers == list(range(120))
+    assert (np.abs(np.array(times_s) - np.array(times) / 1000.0) > 1e-3).sum() <= 2
+    agree(path, index, times_s, 120)
+
+
+@pytest.mark.parametrize("b_frames", [0, 2])
+@pytest.mark.parametrize(
+    "garbage",
+    [bytes(188), bytes(1000), bytes(1 << 20), b"\xff" * 300_000, b"no transport stream " * 50_000],
+)
+def test_what_stands_behind_a_transport_stream(
+    tmp_path: Path, b_frames: int, garbage: bytes
+) -> None:
+    # Recorders take their place on the disk in whole blocks.
+    path = write(tmp_path / "a.ts", list(range(0, 4000, 100)), b_frames=b_frames)
+    path.write_bytes(path.read_bytes() + garbage)
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    assert index == numbers == list(range(40))
+    assert not tally.notes
+    assert tally.total_left_out == 0
+    np.testing.assert_allclose(times_s, np.arange(40) / 10.0, atol=1e-4)
+    agree(path, index, times_s, 40)
+
+
+def test_what_stands_within_a_transport_stream(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.ts", list(range(0, 4000, 100)), b_frames=2)
+    data = path.read_bytes()
+    middle = len(data) // 376 * 188
+    path.write_bytes(data[:middle] + bytes(1 << 20) + data[middle:])
+    index, times_s, numbers = seen(path)
+    assert index == numbers == list(range(40))
+    agree(path, index, times_s, 40)
+
+
+def test_a_duration_that_cannot_be(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mp4", IRREGULAR)
+    data = bytearray(path.read_bytes())
+    entries = data.index(b"stts") + 12
+    # Times of decoding: so many frames of so long a duration that their sum is negative.
+    for entry in range(3):
+        data[entries + 8 * entry : entries + 8 * entry + 8] = b"\x7f\xff\xff\xff" * 2
+    path.write_bytes(data)
+    with av.open(str(path)) as container:
+        assert container.streams.video[0].duration < 0
+    # Which frames are shown depends on these times.
+    assert seen(path)[2][0] == 0
+
+
+@pytest.mark.parametrize("seed", [3, 24, 39, 51])
+def test_no_picture_is_counted_twice_behind_damage(tmp_path: Path, seed: int) -> None:
+    """Decoders show some pictures late there, when others are thought to be lost."""
+    noise = np.random.default_rng(0).integers(0, 255, (60, 48, 64, 3), dtype=np.uint8)
+    images = [np.clip(picture(n) + noise[n] // 8, 0, 255) for n in range(60)]
+    path = write(tmp_path / "a.ts", list(range(0, 6000, 100)), b_frames=2, images=images)
+    data, rng = bytearray(path.read_bytes()), np.random.default_rng(seed)
+    for _ in range(int(rng.integers(1, 4))):
+        place, size = int(rng.integers(600, len(data) - 200)), int(rng.integers(1, 400))
+        data[place : place + size] = bytes(size)
+    path.write_bytes(data)
+    tally = Tally(path)
+    index, times_s, _ = seen(path, tally)
+    assert tally.read["frames"] == len(index) == 60 - tally.total_left_out
+    np.testing.assert_allclose(times_s, np.array(index) / 10.0, atol=1e-4)
+    agree(path, index, times_s, 60)

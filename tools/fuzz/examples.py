@@ -21,7 +21,7 @@ from sightline.geodesy import LocalPlane
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation.simulate import SimulationSettings, simulate
-from sightline.types import PointKind, Track
+from sightline.types import Fixes, PointKind, Track, rfc3339
 
 SIZE_PX = (640, 360)
 """Of the simulated pictures."""
@@ -190,11 +190,59 @@ def _logs(folder: Path) -> None:
         encoding="ascii",
     )
 
+    _json_logs(folder, fixes[:20])
+
+
+def _json_logs(folder: Path, fixes: Fixes) -> None:
+    """The same log of gpsd, of Signal K, as GeoJSON, and as reports of two vessels."""
+    stamps = [rfc3339(time_s) for time_s in fixes.time_utc_s.tolist()]
+    rows = list(zip(stamps, fixes.latitude_deg.tolist(), fixes.longitude_deg.tolist(), strict=True))
+    gpsd: list[object] = [{"class": "VERSION", "release": "3.25"}]
+    deltas: list[object] = [{"self": "vessels.urn:mrn:imo:mmsi:211000001", "version": "1.0"}]
+    ais = ["MMSI,BaseDateTime,LAT,LON,SOG,COG,VesselName"]
+    danish = ["# Timestamp,Type of mobile,MMSI,Latitude,Longitude,SOG,COG"]
+    for i, (when, north, east) in enumerate(rows):
+        device = f"/dev/ttyACM{i % 2}"
+        told = {"class": "TPV", "device": device, "mode": 3, "time": when}
+        gpsd.append({**told, "lat": north, "lon": east})
+        place = {"latitude": north, "longitude": east}
+        value = {"path": "navigation.position", "value": place}
+        update = {"$source": "gps.GP", "timestamp": when, "values": [value]}
+        deltas.append({"context": "vessels.self", "updates": [update]})
+        mmsi = 211000001 + i % 2
+        ais.append(f"{mmsi},{when},{north},{east},6.1,17.0,LAUNCH")
+        day = f"{when[8:10]}/{when[5:7]}/{when[:4]} {when[11:19]}"
+        danish.append(f"{day},Class A,{mmsi},{north},{east},6.1,17.0")
+    positions = [[east, north] for _, north, east in rows]
+    line = {"type": "LineString", "coordinates": positions}
+    feature = {"type": "Feature", "properties": {"coordTimes": stamps}, "geometry": line}
+    document = {"type": "FeatureCollection", "features": [feature]}
+    for name, text in (
+        ("gpsd.json", "\n".join(map(json.dumps, gpsd))),
+        ("signalk.json", "\n".join(map(json.dumps, deltas))),
+        ("log.geojson", json.dumps(document)),
+        ("ais.csv", "\n".join(ais)),
+        ("danish.csv", "\n".join(danish)),
+    ):
+        (folder / name).write_text(text + "\n", encoding="utf-8")
+
 
 def _tables(folder: Path) -> None:
     boxes = formats.read_boxes(folder / "still" / "boxes" / "01.csv")
     detections = formats.read_boxes(folder / "still" / "detections" / "01.csv")
     formats.write_boxes(detections, folder / "boxes.txt")
+    size = np.array([640.0, 360.0])
+    yolo, xywh = [], ["frame,x,y,w,h,conf,id"]
+    for i in range(min(len(detections), 40)):
+        corners = detections.xyxy_px[i].reshape(2, 2)
+        middle, extent = corners.mean(axis=0), corners[1] - corners[0]
+        four = [*(middle / size), *(extent / size)]
+        yolo += [
+            " ".join(map(str, [int(detections.frame[i]) + 1, k, *four, 0.5, k])) for k in (0, 0)
+        ]
+        xywh.append(",".join(map(str, [int(detections.frame[i]), *corners[0], *extent, 0.5, 1])))
+    (folder / "yolo.txt").write_text("\n".join(yolo) + "\n", encoding="utf-8")
+    (folder / "xywh.csv").write_text("\n".join(xywh) + "\n", encoding="utf-8")
     _copy_lines(folder / "still" / "clock" / "01.csv", folder / "clock.csv", 60)
     target = np.arange(len(boxes)) % 3 > 0
     write_labels(Labels(boxes, target, np.array([3, 9])), folder / "labels.csv")

@@ -17,7 +17,7 @@ import numpy as np
 from fuzz.containers import BYTES, GEOPACKAGE, MP4, ONNX, PARQUET, PICTURE, SAFETENSORS, TS
 from fuzz.examples import FRAME_PX
 from fuzz.texts import AIS, SENTENCES, TABLE, TEXT, TOML, XML, Mutator
-from fuzz.trees import JSON
+from fuzz.trees import JSON, JSON_LINES
 from sightline import formats, video
 from sightline.cli import main
 from sightline.clock import presentation_clock
@@ -65,6 +65,10 @@ def _boxes(path: Path, _: Path) -> None:
     formats.read_boxes(path, source="somebody")
     for _chunk in formats.iter_boxes(path, 7, skip_empty=True):
         pass
+
+
+def _sized_boxes(path: Path, _: Path) -> None:
+    formats.read_boxes(path, image_size_px=(640, 360), skip_empty=True)
 
 
 def _tracks(path: Path, _: Path) -> None:
@@ -245,6 +249,10 @@ READERS: tuple[Reader, ...] = (
     Reader("log: NMEA 0183", _fixes, ("log.nmea",), SENTENCES, 4),
     Reader("log: AIS", _feed, ("feed.nmea", "one.nmea"), AIS, 4),
     Reader("log: CSV", _fixes, ("log.csv",), TABLE, 3),
+    Reader("log: CSV of AIS", _feed, ("ais.csv", "danish.csv"), TABLE, 3),
+    Reader("log: JSON lines", _fixes, ("gpsd.json", "signalk.json"), JSON_LINES, 3),
+    Reader("log: GeoJSON", _fixes, ("log.geojson",), JSON),
+    Reader("boxes: centres", _sized_boxes, ("yolo.txt", "xywh.csv"), TABLE),
     Reader("boxes: CSV", _boxes, ("still/boxes/01.csv", "still/detections/01.csv"), TABLE, 4),
     Reader("boxes: MOTChallenge", _boxes, ("boxes.txt",), TABLE, 3),
     Reader("tracks: GeoJSON", _tracks, ("tracks.geojson",), JSON, 4),

@@ -72,5 +72,14 @@ def tree(rng: Rng, content: bytes) -> bytes:
         return content
 
 
+def tree_of_line(rng: Rng, content: bytes) -> bytes:
+    """Nodes of one line are changed, of a text with a tree a line."""
+    lines = content.split(b"\n")
+    at = int(rng.integers(len(lines)))
+    lines[at] = tree(rng, lines[at])
+    return b"\n".join(lines)
+
+
+JSON_LINES: tuple[Mutator, ...] = (tree_of_line,) * 20 + TEXT
 JSON: tuple[Mutator, ...] = (tree,) * 20 + (nested, nested, *TEXT)
 """For GeoJSON and what else is JSON."""

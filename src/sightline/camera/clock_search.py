@@ -50,6 +50,8 @@ _LOOKS = 9
 # Nats by which another clock has to be likelier than the one that was believed.
 _LEAST_LEAD = 3.0
 _FEWEST = 5
+# Of the boxes of a recording that might have a place: where fewer have, the clock may be to blame.
+_COVERED = 0.8
 _ROUNDS = 4
 _STILL_S = 0.05
 
@@ -88,6 +90,8 @@ class CameraBeliefs:
         sources: Priors of single sources.
         landmarks: Control points and landmarks.
         settings: How the camera is fitted.
+        noise: Of a box's foot, by which a camera explains the boxes or does not. The search itself
+            is by the usual noise: a wider one lets wrong clocks pass.
     """
 
     image_size_px: tuple[int, int]
@@ -96,6 +100,7 @@ class CameraBeliefs:
     sources: Mapping[int, SourcePrior] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     settings: CameraFitSettings = field(default_factory=CameraFitSettings)
+    noise: PixelNoise = field(default_factory=PixelNoise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +144,9 @@ def search_clocks(
     # Where no camera explains the boxes, none can tell how late they are.
     return [
         told if median < _GOOD else _believed(one.prior)
-        for one, told, median in zip(recordings, search.refined(best), best.median, strict=True)
+        for one, told, median in zip(
+            recordings, search.refined(best), search.explained(best), strict=True
+        )
     ]
 
 
@@ -159,6 +166,7 @@ class _Search:
         self.start_s = np.array([one.prior.mean_s for one in recordings])
         self.free = np.array([not one.prior.stated for one in recordings])
         self.noise = PixelNoise()
+        self.most: dict[int, int] = {}
 
     def best(self) -> _Candidate | None:
         """The best candidate; None where no clock lets a camera be fitted."""
@@ -167,7 +175,7 @@ class _Search:
         if believed is not None:
             believed = self._again(believed)
             found.append(self._placed(believed))
-        if not found or not self._good(found[0], _GOOD):
+        if not found or not (self._good(found[0], _GOOD) and self._covered(found[0])):
             found += self._along(0.0, found)
             if not found or self._bad(max(found, key=_score)):
                 for zone_s in self._zones(range(len(self.recordings))):
@@ -186,6 +194,23 @@ class _Search:
     def _good(self, one: _Candidate, limit: float) -> bool:
         """Whether a camera explains the boxes that have places at its clocks."""
         return bool((one.median[np.isfinite(one.median)] < limit).all())
+
+    def _covered(self, one: _Candidate) -> bool:
+        """Whether no other clock gives many more boxes a place."""
+        for index in np.flatnonzero(self.free).tolist():
+            recording = self.recordings[index]
+            here = len(recording.at(float(one.offset_s[index])))
+            if here < _COVERED * recording.asked and here < _COVERED * self._most(index):
+                return False
+        return True
+
+    def _most(self, index: int) -> int:
+        """The most boxes of a recording that have places at any clock, but for other zones."""
+        if index not in self.most:
+            around = np.arange(-self.largest_s, self.largest_s + _STEP_S, _STEP_S)
+            at = self.recordings[index].at
+            self.most[index] = max(len(at(float(self.start_s[index] + o))) for o in around)
+        return self.most[index]
 
     def _bad(self, one: _Candidate) -> bool:
         """Whether it explains none, or most of a recording's have no place."""
@@ -219,7 +244,7 @@ class _Search:
                 continue
             out.append(found)
             shapes = [max(out, key=_score).shape]
-            if self._good(found, _VERY_GOOD) and not self._bad(found):
+            if self._good(found, _VERY_GOOD) and self._covered(found) and not self._bad(found):
                 break
         return out
 
@@ -314,9 +339,10 @@ class _Search:
     def _again(self, one: _Candidate) -> _Candidate:
         """A candidate fitted to the places at its own clocks, as long as that betters it."""
         for _ in range(_ROUNDS):
-            problem = self._problem(self._sightings(one.offset_s), one.offset_s)
-            if len(problem.sightings) < _FEWEST:
+            sightings = self._sightings(one.offset_s)
+            if len(sightings) < _FEWEST:
                 break
+            problem = self._problem(sightings, one.offset_s)
             start = np.append(one.shape, np.zeros(problem.clock_groups.size))
             problem.expect_hull(start)
             solved = problem.solve(start, self.noise, _EVALUATIONS)
@@ -338,29 +364,46 @@ class _Search:
         clocks = np.zeros(problem.size, dtype=bool)
         clocks[problem.layout.clocks] = True
         score = -0.5 * float(np.sum(off[~clocks[problem.held]] ** 2))
-        median = np.zeros(len(self.recordings))
         group = problem.sightings.group
         for index, recording in enumerate(self.recordings):
             rows = group == index
-            missing = recording.asked - int(rows.sum())
             cost_here = cost[rows].sum() + self._unmatched(index, int(rows.sum()))
             score += recording.prior.log_density(float(moved_s[index]))
             score -= recording.weight * float(cost_here)
-            # Logs have gaps; only where most boxes have no place is the clock to blame.
-            median[index] = np.median(square[rows]) if rows.sum() >= missing else np.inf
         score -= float(cost[group >= len(self.recordings)].sum())
-        return _Candidate(moved_s, vector[: problem.layout.clocks.start].copy(), score, median)
+        shape = vector[: problem.layout.clocks.start].copy()
+        return _Candidate(moved_s, shape, score, self._medians(problem, square))
+
+    def _medians(self, problem: _Problem, square: FloatArray) -> FloatArray:
+        """(R,) `_Candidate.median` of squared standardised residuals (N,)."""
+        median = np.full(len(self.recordings), np.inf)
+        for index, recording in enumerate(self.recordings):
+            rows = problem.sightings.group == index
+            # Logs have gaps; only where most boxes have no place is the clock to blame.
+            if rows.sum() >= recording.asked - rows.sum():
+                median[index] = np.median(square[rows])
+        return median
+
+    def explained(self, one: _Candidate) -> FloatArray:
+        """(R,) `_Candidate.median`, by the noise that is believed."""
+        if self.beliefs.noise == self.noise:
+            return one.median
+        problem = self._problem(self._sightings(one.offset_s))
+        vector = np.append(one.shape, np.zeros(problem.clock_groups.size))
+        return self._medians(problem, self._cost(problem, vector, self.beliefs.noise)[0])
 
     def _unmatched(self, index: int, matched: int) -> float:
         missing = self.recordings[index].asked - matched
         return missing * float(_loss(np.array(_UNMATCHED)))
 
-    def _cost(self, problem: MixedModel, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _cost(
+        self, problem: MixedModel, vector: FloatArray, noise: PixelNoise | None = None
+    ) -> tuple[FloatArray, FloatArray]:
         """(N,) squared standardised residuals and what each costs, in nats."""
-        aspect = problem.aspect(vector)
+        aspect, noise = problem.aspect(vector), noise or self.noise
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             pixel = problem.project(vector, aspect)[0]
-            standard = (problem.sightings.pixel_px - pixel) / problem.sigmas(vector, self.noise)
+            standard = (problem.sightings.pixel_px - pixel) / problem.sigmas(vector, noise)
             square = np.sum(standard**2, axis=1)
         square = np.where(np.isfinite(square), np.minimum(square, _LARGEST), _LARGEST)
         return square, _loss(square)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sightline.cli.common import check_scene_is_there, say, write_result
-from sightline.cli.options import JsonOption
+from sightline.cli.options import JsonOption, OverwriteOption
 from sightline.cli.outputs import keep_apart
+from sightline.cli.replacing import keep_others
 from sightline.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ def check(
         list[Path], typer.Argument(metavar="SCENE|FILE...", help="A scene file, or any files.")
     ],
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Read all that a run would read, say what is in it, and what will go wrong."""
     keep_apart([json], what)
@@ -38,8 +40,10 @@ def check(
     finally:
         logger.setLevel(level)
     keep_apart([json], [file.path for file in report.files])
+    keep_others([(json, "result")], overwrite=overwrite)
     write_result(json, report.to_dict())
-    for line in report.lines():
+    # The first of the problems is the error.
+    for line in report.lines(problems_from=1):
         say(line)
     refuse_problems(report, "above")
     if report.recordings:

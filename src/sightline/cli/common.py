@@ -62,7 +62,9 @@ def say_aside(head: str, message: str, style: str) -> None:
 
 def warn(line: str) -> None:
     """Print a warning to standard error, without wrapping it."""
-    stderr.print(f"[bold yellow]warning:[/] {escape(line)}", soft_wrap=True, highlight=False)
+    stderr.print(
+        f"[bold yellow]warning:[/] {escape(terminal_text(line))}", soft_wrap=True, highlight=False
+    )
 
 
 @contextmanager

@@ -9,9 +9,10 @@ import typer
 
 from sightline.cli.common import check_scene_is_there, progress, say, stdout
 from sightline.cli.defaults import MODELS
-from sightline.cli.options import JsonOption, SceneArgument, SeedOption
+from sightline.cli.options import JsonOption, OverwriteOption, SceneArgument, SeedOption
 from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.parsing import parse_names
+from sightline.cli.replacing import keep_others
 
 
 def compare(
@@ -37,6 +38,7 @@ def compare(
     ] = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Compare models by leave-one-out cross-validation, and print the paper's Table 2."""
     keep_apart([map_file, report, json], [scene])
@@ -51,6 +53,8 @@ def compare(
 
     loaded = Scene.load(scene)
     keep_apart([map_file, report, json], loaded.files)
+    kinds = [(map_file, "figure"), (report, "page"), (json, "result")]
+    keep_others(kinds, overwrite=overwrite)
     with progress() as tell:
         result, placed = compare_models(
             loaded, parse_names(models), trajectory=trajectory, seed=seed, progress=tell

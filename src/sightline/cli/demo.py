@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from sightline.cli.common import folder_for_results, progress, say, write_result
-from sightline.cli.options import JsonOption, SeedOption
+from sightline.cli.options import JsonOption, OverwriteOption, SeedOption
 from sightline.cli.outputs import Attempts, keep_apart
+from sightline.cli.replacing import keep_other_folder, keep_others, kind_of_result
 from sightline.cli.run import result_dict, tell_result
 
 
@@ -22,6 +23,7 @@ def demo(
     ] = 60.0,
     seed: SeedOption = 1,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Simulate a harbour, run the whole pipeline on it, and say where the results lie.
 
@@ -29,6 +31,11 @@ def demo(
     video alone, in which a detector has to find the boats.
     """
     keep_apart([json], [])
+    keep_others([(json, "result")], overwrite=overwrite)
+    keep_other_folder(output / "harbour", overwrite=overwrite)
+    results = output / "results"
+    earlier = [*results.glob("*.*"), *(results / "tracks").glob("0[1-3].*")]
+    keep_others([(path, kind_of_result(path)) for path in earlier], overwrite=overwrite)
     from sightline.pipeline.run import run as run_scene
     from sightline.reporting.run_report import write_run_files
     from sightline.scene import Scene

@@ -18,6 +18,7 @@ from sightline.cli.options import (
     DetectorOption,
     HorizonModelOption,
     JsonOption,
+    OverwriteOption,
     ProviderOption,
     StartOption,
     ThresholdOption,
@@ -26,6 +27,7 @@ from sightline.cli.options import (
 )
 from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.parsing import parse_time
+from sightline.cli.replacing import keep_others
 from sightline.errors import BrokenOffError, InputError
 
 
@@ -53,12 +55,14 @@ def detect(
     start_utc: StartOption = None,
     clock: ClockOption = None,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Find boxes in a video, a folder of frames or a stream.
 
     Ctrl-C ends the source, and the boxes until then are written; a second one breaks off.
     """
     keep_apart([output, json], [source, model, clock, detector])
+    keep_others([(output, "boxes"), (json, "result")], overwrite=overwrite)
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video or folder")
     check_model_is_there(model)

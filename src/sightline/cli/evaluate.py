@@ -15,8 +15,9 @@ from sightline.cli.common import (
     say,
 )
 from sightline.cli.defaults import DEFAULT_TRAJECTORY
-from sightline.cli.options import JsonOption
+from sightline.cli.options import JsonOption, OverwriteOption
 from sightline.cli.outputs import Attempts, keep_apart
+from sightline.cli.replacing import keep_others
 from sightline.errors import InputError
 
 
@@ -53,6 +54,7 @@ def evaluate(
         typer.Option("--forecast", help="Score forecasts over 5, 10, 30 and 60 s, too."),
     ] = False,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Score tracks against a log, or a fitted model against a scene's boxes and logs."""
     keep_apart([json], [what, fixes, model])
@@ -69,6 +71,7 @@ def evaluate(
 
         scene = Scene.load(what)
         keep_apart([json], scene.files)
+        keep_others([(json, "result")], overwrite=overwrite)
         report = evaluate_any(
             scene,
             model=load_model(model),
@@ -90,6 +93,7 @@ def evaluate(
         from sightline.tracks import Tracks
 
         plane = load_model(model).plane if model is not None else None
+        keep_others([(json, "result")], overwrite=overwrite)
         tracks = Tracks.read(what, plane=plane)
         report = evaluate_any(tracks, fixes=fixes, track_id=track_id, mmsi=mmsi, delta_s=delta_s)
         if plane is None:

@@ -19,10 +19,12 @@ from sightline.cli.options import (
     DetectorOption,
     JsonOption,
     ModelNameOption,
+    OverwriteOption,
     SceneArgument,
     SeedOption,
 )
 from sightline.cli.outputs import Attempts, keep_apart
+from sightline.cli.replacing import keep_others
 
 
 def fit(
@@ -56,6 +58,7 @@ def fit(
         ),
     ] = None,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Fit a georeferencer: learn where a box in the image lies on the earth.
 
@@ -73,6 +76,7 @@ def fit(
         tell(f"fitting {model}", float("nan"))
         loaded = Scene.load(scene)
         keep_apart([output, json], loaded.files)
+        keep_others([(output, "model"), (json, "result")], overwrite=overwrite)
         if update is not None:
             old = load_model(update)
             model = old.model

@@ -21,6 +21,9 @@ JsonOption = Annotated[
     Path | None,
     typer.Option("--json", metavar="FILE", dir_okay=False, help="Write the result as JSON."),
 ]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace files that sightline did not write, too.")
+]
 SeedOption = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Of whatever is random.")]
 RecordingsOption = Annotated[
     str | None, typer.Option(metavar="NAME,...", help="Only these recordings.")

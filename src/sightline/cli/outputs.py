@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
-import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
-from urllib.parse import quote
 
 from sightline.atomic import same_file
 from sightline.errors import InputError, OutputError, SightlineError
@@ -20,10 +18,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Item = TypeVar("Item", contravariant=True)
 
-_FIRST_BYTES = 4096
-_LAST_BYTES = 65536
 _PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
-_TRACK_COLUMNS = {"track_id", "time_utc", "latitude_deg", "longitude_deg"}
 
 
 def keep_apart(
@@ -73,56 +68,6 @@ def check_place(path: Path) -> None:
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def check_holds_tracks(path: Path) -> None:
-    """Raise where a file exists that is not tracks: then it may be a source.
-
-    Raises:
-        InputError: It holds something else.
-    """
-    if not os.path.isfile(path) or os.path.getsize(path) == 0:
-        return
-    try:
-        if _holds_tracks(path):
-            return
-    except OSError as error:
-        raise InputError(f"{path}: may not be read; check its permissions") from error
-    raise InputError(
-        f"{path}: exists and holds no tracks, so it is not overwritten; track takes one source, "
-        "and what follows -o FILE are further files for its tracks"
-    )
-
-
-def _holds_tracks(path: Path) -> bool:
-    """Whether a file holds tracks as they are written here, by its beginning or its columns."""
-    with path.open("rb") as file:
-        head = file.read(_FIRST_BYTES)
-        file.seek(max(path.stat().st_size - _LAST_BYTES, 0))
-        tail = file.read()
-    suffix = path.suffix.lower()
-    if suffix == ".csv":
-        first = head.decode("utf-8-sig", errors="replace").partition("\n")[0]
-        return {name.strip() for name in first.split(",")} >= _TRACK_COLUMNS
-    if suffix == ".geojson":
-        empty = head.split() == b'{"type": "FeatureCollection", "features": [ ]}'.split()
-        return empty or (b'"FeatureCollection"' in head and b'"track_id"' in head)
-    if suffix in (".gpx", ".kml"):
-        mark = b'creator="sightline"' if suffix == ".gpx" else b"<name>sightline</name>"
-        return mark in head
-    if suffix == ".parquet":
-        return head.startswith(b"PAR1") and all(name.encode() in tail for name in _TRACK_COLUMNS)
-    return suffix == ".gpkg" and _has_layer_of_tracks(path)
-
-
-def _has_layer_of_tracks(path: Path) -> bool:
-    address = f"file:{quote(os.path.abspath(path))}?mode=ro&immutable=1"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as file:
-            columns = {row[1] for row in file.execute("PRAGMA table_info(tracks)")}
-    except sqlite3.Error:
-        return False
-    return columns >= _TRACK_COLUMNS
 
 
 def _without_scheme(path: str | os.PathLike[str]) -> str:

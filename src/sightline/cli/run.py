@@ -24,11 +24,13 @@ from sightline.cli.options import (
     IntervalOption,
     JsonOption,
     ModelNameOption,
+    OverwriteOption,
     SceneArgument,
     SeedOption,
     TrajectoryOption,
 )
 from sightline.cli.outputs import Attempts, keep_apart
+from sightline.cli.replacing import keep_others, kind_of_result
 
 if TYPE_CHECKING:
     from sightline.pipeline.run import RunResult
@@ -45,6 +47,7 @@ def run(
     interval_s: IntervalOption = None,
     seed: SeedOption = 0,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene, detector])
@@ -61,6 +64,8 @@ def run(
     keep_apart([json], [*inputs, *places])
     if output.is_dir():
         check_places(places, inputs)
+    keep_others([(json, "result")], overwrite=overwrite)
+    keep_others([(path, kind_of_result(path)) for path in places], overwrite=overwrite)
     checked = check_scene(loaded, every_picture=False)
     for line in checked.warnings:
         warn(line)

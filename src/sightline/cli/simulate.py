@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sightline.cli.common import folder_for_results, progress, say, write_result
-from sightline.cli.options import JsonOption, SeedOption
+from sightline.cli.options import JsonOption, OverwriteOption, SeedOption
 from sightline.cli.outputs import Attempts, keep_apart
+from sightline.cli.replacing import keep_other_folder, keep_others
 
 if TYPE_CHECKING:
     from sightline.simulation.simulate import ClockKind
@@ -31,12 +32,15 @@ def simulate(
     ] = False,
     seed: SeedOption = 0,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Write a synthetic harbour: videos, clocks, boxes, logs, the truth, and a scene."""
     from sightline.simulation.simulate import SimulationSettings
     from sightline.simulation.simulate import simulate as simulate_harbour
 
     keep_apart([json], [])
+    keep_others([(json, "result")], overwrite=overwrite)
+    keep_other_folder(output, overwrite=overwrite)
     kind: ClockKind = clock  # type: ignore[assignment]
     with folder_for_results(output) as folder, progress() as tell:
         made = simulate_harbour(

@@ -18,11 +18,13 @@ from sightline.cli.options import (
     DetectorOption,
     IntervalOption,
     JsonOption,
+    OverwriteOption,
     StartOption,
     TrajectoryOption,
 )
-from sightline.cli.outputs import Attempts, Outputs, check_holds_tracks, keep_apart
+from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.parsing import parse_time, parse_water_level
+from sightline.cli.replacing import check_holds_tracks, keep_others
 from sightline.errors import BrokenOffError, InputError
 
 if TYPE_CHECKING:
@@ -149,6 +151,7 @@ def track(
         ),
     ] = True,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Make smooth tracks of everything in a video, a stream or a table of boxes.
 
@@ -166,6 +169,8 @@ def track(
     keep_apart([*output, *ahead, json], inputs)
     for path in context.meta[_FURTHER]:
         check_holds_tracks(path)
+    tracked = [(path, "tracks") for path in (*output, *ahead)]
+    keep_others([*tracked, (json, "result")], overwrite=overwrite)
     check_model_is_there(model)
     with signals.stoppable() as stop:
         from sightline import formats

@@ -8,8 +8,6 @@ a clock does.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, ClockOffset, ClockPrior
@@ -39,7 +37,7 @@ _LEAST_LEAD = 3.0
 
 def match_clock(
     time_utc_s: FloatArray,
-    positions_at: Callable[[FloatArray], Positions],
+    positions: Positions,
     fixes: Fixes,
     *,
     prior: ClockPrior | None = None,
@@ -50,8 +48,7 @@ def match_clock(
 
     Args:
         time_utc_s: (N,) POSIX seconds of the places, by the camera's clock.
-        positions_at: From the times by the log's clock to the N places; only a camera that moves
-            makes other places of other times.
+        positions: The N places, about a camera that stands still.
         fixes: The log.
         prior: Of the offset. Absent: that of a clock of which nothing is known.
         reference_sigma_m: Standard deviation of the log's correlated error, metres.
@@ -60,7 +57,7 @@ def match_clock(
     Returns:
         None where too few places meet the log at any offset.
     """
-    match = _Match(time_utc_s, positions_at, fixes, prior or ClockPrior(), reference_sigma_m)
+    match = _Match(time_utc_s, positions, fixes, prior or ClockPrior(), reference_sigma_m)
     if match.time_s.size < _FEWEST:
         return None
     start_s = match.best(largest_offset_s)
@@ -73,38 +70,35 @@ class _Match:
     def __init__(
         self,
         time_utc_s: FloatArray,
-        positions_at: Callable[[FloatArray], Positions],
+        positions: Positions,
         fixes: Fixes,
         prior: ClockPrior,
         reference_sigma_m: float,
     ) -> None:
-        placed = positions_at(time_utc_s - prior.mean_s)
-        known = placed.known & np.isfinite(time_utc_s)
-        self._rows = np.flatnonzero(known)
-        self._all_s = time_utc_s
-        self.time_s = time_utc_s[self._rows]
-        self._positions_at = positions_at
-        self._log = ReferenceTrajectory.of(fixes, placed.plane)
+        rows = np.flatnonzero(positions.known & np.isfinite(time_utc_s))
+        self.time_s = time_utc_s[rows]
+        self._positions = positions[rows]
+        self._log = ReferenceTrajectory.of(fixes, positions.plane)
         self._prior = prior
         self._reference_m = reference_sigma_m
         span_s = float(np.ptp(self.time_s)) if self.time_s.size else 0.0
         self._weight = min(1.0, (span_s / _INDEPENDENT_S + 1.0) / max(self.time_s.size, 1))
 
-    def _apart(self, offset_s: float) -> tuple[FloatArray, Positions, BoolArray]:
-        """(N, 2) places less the log's, the places, and (N,) whether the log has one."""
-        positions = self._positions_at(self._all_s - offset_s)[self._rows]
+    def _apart(self, offset_s: float) -> tuple[FloatArray, BoolArray]:
+        """(N, 2) places less the log's, and (N,) whether the log has one."""
         log = self._log.at(self.time_s - offset_s)
         # What a motion model bridges a long gap with is no place that a clock may be read off.
         near = np.diff(log.fix_time_utc_s, axis=1) <= LARGEST_GAP_S
         place_m = np.where(near, log.east_north_m, np.nan)
-        apart = np.stack([positions.east_m, positions.north_m], axis=1) - place_m
-        return apart, positions, np.asarray(np.isfinite(apart).all(axis=1))
+        seen_m = np.stack([self._positions.east_m, self._positions.north_m], axis=1)
+        apart = np.asarray(seen_m - place_m)
+        return apart, np.asarray(np.isfinite(apart).all(axis=1))
 
     def _squares(self, offset_s: float) -> FloatArray:
         """(N,) squared standardised distances from the log; infinite where it has gaps."""
-        apart, positions, matched = self._apart(offset_s)
+        apart, matched = self._apart(offset_s)
         floor = (_LEAST_SIGMA_M**2 + self._reference_m**2) * np.eye(2)
-        covariance = positions.covariance_m2[matched] + floor
+        covariance = self._positions.covariance_m2[matched] + floor
         solved = np.linalg.solve(covariance, apart[matched][:, :, None])[:, :, 0]
         square = np.full(apart.shape[0], np.inf)
         square[matched] = np.minimum(np.sum(apart[matched] * solved, axis=1), _LARGEST)
@@ -126,7 +120,7 @@ class _Match:
         looks = around[np.linspace(0, around.size - 1, min(_LOOKS, around.size)).astype(int)]
         centres = [0.0, *(() if self._prior.stated else ZONES_S)]
         for centre_s in centres:
-            if max(int(self._apart(float(centre_s + look))[2].sum()) for look in looks) >= _FEWEST:
+            if max(int(self._apart(float(centre_s + look))[1].sum()) for look in looks) >= _FEWEST:
                 scores = [self._score(float(centre_s + offset)) for offset in around]
                 best_s = float(centre_s + around[int(np.argmax(scores))])
                 believed = self._score(self._prior.mean_s)
@@ -141,22 +135,20 @@ class _Match:
         offset_s = start_s
         covariance = np.zeros((1, 1))
         for _ in range(_ROUNDS):
-            apart, positions, matched = self._apart(offset_s)
+            apart, matched = self._apart(offset_s)
             rows = np.flatnonzero(matched)
             if rows.size < _FEWEST:
                 return None
-            step, covariance = self._step(offset_s, apart[rows], positions[rows], rows)
+            step, covariance = self._step(offset_s, apart[rows], rows)
             offset_s += float(np.clip(step, -2.0, 2.0))
             if abs(step) < 0.01:
                 break
         sigma_s = float(np.hypot(np.sqrt(covariance[0, 0]), _FINEST_S))
         return ClockOffset(offset_s, sigma_s, self._prior.stated)
 
-    def _step(
-        self, offset_s: float, apart: FloatArray, positions: Positions, rows: IntArray
-    ) -> tuple[float, FloatArray]:
+    def _step(self, offset_s: float, apart: FloatArray, rows: IntArray) -> tuple[float, FloatArray]:
         """A Gauss-Newton step of the offset, and the covariance of all that is estimated."""
-        times = self.time_s[rows] - offset_s
+        times, positions = self.time_s[rows] - offset_s, self._positions[rows]
         velocity = self._log.smooth_velocity(times)
         shared = positions.shared_covariance_m2
         assert shared is not None, "positions fill it in"

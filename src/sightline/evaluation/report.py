@@ -33,7 +33,7 @@ from sightline.evaluation.metrics import (
 )
 from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S
-from sightline.text import encodable_text
+from sightline.text import json_text
 from sightline.types import Fixes, FloatArray, Positions, Track, rfc3339
 
 LEAST_OVERLAP_S = 5.0
@@ -177,7 +177,7 @@ def write_json(path: str | Path, content: Mapping[str, object]) -> None:
     """
     text = json.dumps(without_nan(content), indent=2, allow_nan=False, ensure_ascii=False)
     with atomic_path(Path(path)) as temporary:
-        temporary.write_text(encodable_text(text) + "\n", encoding="utf-8")
+        temporary.write_text(json_text(text) + "\n", encoding="utf-8")
 
 
 def summarise(

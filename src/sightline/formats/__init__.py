@@ -17,12 +17,13 @@ import pandas as pd
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
-from sightline.formats._log_table import is_log_table
+from sightline.formats._json_logs import coco_refusal, is_coco, is_json
+from sightline.formats._log_table import is_log_table, is_vessel_table
 from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
 from sightline.formats.control_points import read_control_points
-from sightline.formats.fixes_csv import read_fixes_csv, write_fixes_csv
+from sightline.formats.fixes_csv import read_fixes_csv, read_fixes_json, write_fixes_csv
 from sightline.formats.geojson import geojson_track_writer, read_geojson_table
 from sightline.formats.geopackage import geopackage_track_writer, read_geopackage_table
 from sightline.formats.gpx import gpx_track_writer, read_gpx, read_gpx_table, write_gpx
@@ -45,6 +46,7 @@ __all__ = [
     "atomic_path",
     "box_writer",
     "holds_ais",
+    "is_log_table",
     "iter_boxes",
     "read_ais",
     "read_ais_feed",
@@ -124,13 +126,14 @@ def _by_suffix(path: str | os.PathLike[str], known: dict[str, T], what: str) -> 
 def read_fixes(
     path: str | os.PathLike[str], *, mmsi: int | None = None, tally: Tally | None = None
 ) -> Fixes:
-    """The log of one vessel or vehicle: GPX, NMEA 0183, AIS or CSV.
+    """The log of one vessel or vehicle: GPX, NMEA 0183, AIS, CSV or JSON.
 
     What is in the file decides: XML is GPX; ``$..RMC``, ``GGA``, ``GNS`` and ``GLL`` sentences are
     the log of a receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
-    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them. A log with both kinds
-    of sentences is read as AIS if an MMSI is given. Fixes that cannot be true are left out and
-    counted; see `sightline.plausibility`.
+    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them, and is AIS where it
+    has a column ``mmsi`` as well; JSON is of gpsd, of Signal K, GeoJSON with times, or an object a
+    line. A log with both kinds of sentences is read as AIS if an MMSI is given. Fixes that cannot
+    be true are left out and counted; see `sightline.plausibility`.
 
     Args:
         path: The file.
@@ -146,12 +149,19 @@ def read_fixes(
     # A log of many hours may begin with the receiver on board, and come to others later.
     if sentences and (mmsi is not None or _only_ais(head)):
         return read_ais_vessel(path, mmsi, tally=tally)
+    if not sentences and is_vessel_table(head):
+        return read_ais_vessel(path, mmsi, tally=tally)
     if mmsi is not None:
-        raise InputError(f"{path}: holds no AIS sentence, so no vessel can be chosen by its MMSI")
+        raise InputError(
+            f"{path}: holds no AIS sentence and no column mmsi, so no vessel can be chosen by its "
+            "MMSI"
+        )
     if sentences:
         return read_nmea(path, tally=tally)
     if head.lstrip("\ufeff \t\r\n").startswith("<") or Path(path).suffix.lower() == ".gpx":
         return read_gpx(path, tally=tally)
+    if is_json(head):
+        return read_fixes_json(path, tally=tally)
     if Path(path).suffix.lower() == ".csv" or is_log_table(head):
         return read_fixes_csv(path, tally=tally)
     raise InputError(
@@ -161,12 +171,13 @@ def read_fixes(
 
 
 def holds_ais(path: str | os.PathLike[str]) -> bool:
-    """Whether a log is one of AIS sentences, and not of a receiver on board.
+    """Whether a log is one of AIS, as sentences or as a table with MMSIs, and of none on board.
 
     Raises:
         InputError: The file is missing or cannot be read.
     """
-    return _only_ais(_files.beginning(path))
+    head = _files.beginning(path)
+    return _only_ais(head) or (not _NMEA.search(head) and is_vessel_table(head))
 
 
 def _only_ais(head: str) -> bool:
@@ -232,6 +243,7 @@ def iter_boxes(
     Raises:
         InputError: The file cannot be used; names the line.
     """
+    _refuse_other_boxes(path)
     return _by_suffix(path, _BOX_READERS, "boxes")(
         path,
         chunk_rows,
@@ -240,6 +252,20 @@ def iter_boxes(
         image_size_px=image_size_px,
         tally=tally,
     )
+
+
+def _refuse_other_boxes(path: str | os.PathLike[str]) -> None:
+    """Raise an error that names what is no table of boxes, and what would make it one."""
+    if Path(path).is_dir():
+        texts = [one for one in Path(path).iterdir() if one.suffix.lower() == ".txt"]
+        if texts:
+            raise InputError(
+                f"{path}: is a folder of {len(texts)} .txt files, as YOLO writes labels; put them "
+                "into one table with the header frame,class_id,xc,yc,w,h (and conf, track_id), the "
+                "frame from each file's name"
+            )
+    elif Path(path).suffix.lower() == ".json" and is_coco(_files.beginning(path)):
+        raise coco_refusal(path)
 
 
 def write_boxes(boxes: Boxes, path: str | os.PathLike[str]) -> None:

@@ -6,7 +6,7 @@ import difflib
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from sightline.errors import InputError
@@ -53,15 +53,15 @@ _NAMES: dict[str, tuple[str, ...]] = {
         *("y2", "ymax", "y_max", "bottom", "ybr", "bry", "y_br", "br_y", "y_bottom", "bottom_y"),
         *("y_bottom_right", "bottom_right_y", "max_y", "maxy"),
     ),
-    "width": ("width", "w"),
-    "height": ("height", "h"),
+    "width": ("width", "w", "xywh_w", "xywh_2", "xywhn_w", "xywhn_2"),
+    "height": ("height", "h", "xywh_h", "xywh_3", "xywhn_h", "xywhn_3"),
     "centre_x": (
         *("cx", "xc", "x_center", "x_centre", "center_x", "centre_x", "xcenter", "xcentre"),
-        *("x_c", "c_x"),
+        *("x_c", "c_x", "xywh_x", "xywh_0", "xywhn_x", "xywhn_0"),
     ),
     "centre_y": (
         *("cy", "yc", "y_center", "y_centre", "center_y", "centre_y", "ycenter", "ycentre"),
-        *("y_c", "c_y"),
+        *("y_c", "c_y", "xywh_y", "xywh_1", "xywhn_y", "xywhn_1"),
     ),
     "x": ("x",),
     "y": ("y",),
@@ -75,6 +75,12 @@ _UNIT = re.compile(r"_?(\(px\)|\[px\]|px|pixels?)$")
 _PLAIN_NUMBER = re.compile(r"^[-+]?\d+([.,]\d+)?$")
 _ALMOST = 0.8
 _LOOKED_AT_LINES = 200
+
+_LABELS_OF_YOLO = (
+    "; labels as YOLO writes them, a file a frame, name no frame: put them into one table with the "
+    "header frame,class_id,xc,yc,w,h"
+)
+_CENTRE = ("centre_x", "centre_y", "width", "height")
 
 Extent = Literal["corners", "size", "centre"]
 
@@ -108,12 +114,38 @@ class TableForm:
     unused: tuple[str, ...] = ()
 
     @property
+    def bare(self) -> bool:
+        """Whether nothing tells the corner from the centre: the columns are called x and y."""
+        return bool(self.names) and self.extent == "size" and _plain(self.name("left")) == "x"
+
+    @property
+    def of_ultralytics(self) -> bool:
+        """Whether a column has a name that YOLO gives, whose ``xywh`` begin with the centre."""
+        return "cls" in map(_plain, self.names)
+
+    def with_centres(self) -> TableForm:
+        """The same table, its x and y taken for the centre."""
+        places = {role: i for role, i in self.places.items() if role not in ("left", "top")}
+        places |= {"centre_x": self.places["left"], "centre_y": self.places["top"]}
+        return replace(self, places=places, extent="centre")
+
+    def with_classes_first(self, ids_last: bool) -> TableForm:
+        """The same rows as YOLO writes them behind the frame: class, centre, size.
+
+        Args:
+            ids_last: Whether the track follows the size, without a confidence before it.
+        """
+        last = ("track_id",) if ids_last else ("confidence", "track_id")
+        roles = ("frame", "class_id", *_CENTRE, *last)[: self.columns]
+        return replace(self, places={role: i for i, role in enumerate(roles)}, extent="centre")
+
+    @property
     def geometry(self) -> tuple[str, str, str, str]:
         """The roles of the four columns that tell the box."""
         return {
             "corners": ("left", "top", "right", "bottom"),
             "size": ("left", "top", "width", "height"),
-            "centre": ("centre_x", "centre_y", "width", "height"),
+            "centre": _CENTRE,
         }[self.extent]
 
     def name(self, role: str) -> str:
@@ -272,7 +304,11 @@ def _places(names: Sequence[str]) -> dict[str, int]:
             "right": stems.index("x1"),
             "bottom": stems.index("y1"),
         }
-    if {"x", "y", "width", "height"} <= places.keys():
+    if {"x", "y", "width", "height"} <= places.keys() and "detection_id" in plain:
+        # Roboflow: its x and y are the centre.
+        places.setdefault("centre_x", places["x"])
+        places.setdefault("centre_y", places["y"])
+    elif {"x", "y", "width", "height"} <= places.keys():
         places.setdefault("left", places["x"])
         places.setdefault("top", places["y"])
     return places
@@ -362,6 +398,15 @@ def _unused(path: str | os.PathLike[str], names: Sequence[str]) -> tuple[str, ..
     return tuple(unused)
 
 
+def _are_labels(cells: Sequence[Sequence[str]]) -> bool:
+    """Whether rows are class, centre and size in shares of the picture, as YOLO labels are."""
+    try:
+        rows = [[float(cell) for cell in row[:5]] for row in cells if any(row)]
+    except ValueError:
+        return False
+    return all(row[0] % 1.0 == 0.0 and all(0.0 <= v <= 1.0 for v in row[1:]) for row in rows)
+
+
 def _headless(
     path: str | os.PathLike[str],
     skipped_lines: int,
@@ -378,6 +423,7 @@ def _headless(
         raise InputError(
             f"{path}: has {widest} columns; a MOTChallenge file has at least six: "
             "frame,id,bb_left,bb_top,bb_width,bb_height"
+            + (_LABELS_OF_YOLO if widest == 5 and _are_labels(cells) else "")
         )
     places = {role: i for i, role in enumerate(MOT_COLUMNS[:widest])}
     if widest >= 8 and any(not _number(row[7]) for row in cells if len(row) > 7):

@@ -30,6 +30,8 @@ _FEWEST_TO_JUDGE = 10
 _LEAST_PERCENT = 5.0
 _SHARES_REACH = 1.5
 _LEAST_SIDE_PX = 300
+_SLACK_PX = 2.0
+_EIGHTH = 7
 _ROUNDING = 1e-3
 _TEXT_ROLES = ("label", "annotator")
 
@@ -88,6 +90,13 @@ class _Survey:
     grows: int = 0
     consecutive: bool = True
     without_track: int = 0
+    corner_reach: FloatArray = field(default_factory=lambda: np.full(2, -np.inf))
+    centre_reach: FloatArray = field(default_factory=lambda: np.full(2, -np.inf))
+    centre_from: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
+    crowded: int = 0
+    same_second: int = 0
+    second: _Span = field(default_factory=_Span)
+    eighth: _Span = field(default_factory=_Span)
     _last_id: float = np.nan
 
     def add(self, form: TableForm, rows: pd.DataFrame) -> None:
@@ -99,6 +108,14 @@ class _Survey:
         first, second = four[known, :2], four[known, 2:]
         self.begins_outside += int((first < 0.0).any(axis=1).sum())
         self.grows += int((second > first).all(axis=1).sum())
+        if form.extent == "size" and known.any():
+            with np.errstate(over="ignore"):
+                reach, half = (first + second).max(axis=0), 0.5 * second
+                self.corner_reach = np.maximum(self.corner_reach, reach)
+                self.centre_reach = np.maximum(self.centre_reach, (first + half).max(axis=0))
+                self.centre_from = np.minimum(self.centre_from, (first - half).min(axis=0))
+        if not form.names:
+            self._add_second(rows)
         size = second - first if form.extent == "corners" else second
         self.backwards += int((size < 0.0).any(axis=1).sum())
         for role in ("frame", "class_id", "visibility"):
@@ -114,6 +131,23 @@ class _Survey:
             self.consecutive &= bool((np.diff(ids, prepend=self._last_id) == 1.0)[1:].all())
             self.consecutive &= not np.isfinite(self._last_id) or ids[0] == self._last_id + 1.0
             self._last_id = float(ids[-1])
+
+    def _add_second(self, rows: pd.DataFrame) -> None:
+        """Whether the second column of rows without a header is an id or a class."""
+        second = _files.floats(rows[1])
+        self.second.add(second)
+        crowded = rows[0].duplicated(keep=False)
+        self.crowded += int(crowded.sum())
+        self.same_second += int((rows.duplicated([0, 1], keep=False) & (second >= 0.0)).sum())
+        if rows.shape[1] > _EIGHTH:
+            self.eighth.add(_files.floats(rows[_EIGHTH]))
+
+    @property
+    def in_shares(self) -> bool:
+        """Whether coordinates are shares of the picture."""
+        span = self.extent
+        least = max(abs(span.least), abs(span.greatest))
+        return self.boxes > 0 and not span.whole and least <= _SHARES_REACH
 
 
 @dataclass(frozen=True)
@@ -163,6 +197,11 @@ def iter_box_table(
     survey = _Survey()
     for rows in _chunks(path, form, _SURVEY_ROWS):
         survey.add(form, rows)
+    found = _with_extent(path, form, survey, own, image_size_px)
+    if found is not form:
+        form, survey = found, _Survey()
+        for rows in _chunks(path, form, _SURVEY_ROWS):
+            survey.add(form, rows)
     meaning = _meaning(path, form, survey, own, skip_empty, image_size_px)
     left = 0
     for rows in _chunks(path, form, chunk_rows):
@@ -229,6 +268,86 @@ def _values(form: TableForm, rows: pd.DataFrame, role: str) -> FloatArray:
     return _files.floats(column)
 
 
+def _with_extent(
+    path: str | os.PathLike[str],
+    form: TableForm,
+    survey: _Survey,
+    tally: Tally,
+    image_size_px: tuple[int, int] | None,
+) -> TableForm:
+    """The form of a table, its x and y taken for the corner or for the centre as the values say.
+
+    Raises:
+        InputError: They may be either.
+    """
+    if form.extent != "size" or not survey.boxes:
+        return form
+    size = np.array((1.0, 1.0) if survey.in_shares else image_size_px or (np.inf, np.inf))
+    slack = _ROUNDING if survey.in_shares else _SLACK_PX
+    corner_out = bool((survey.corner_reach > size + slack).any())
+    centre_out = bool(
+        (survey.centre_reach > size + slack).any() or (survey.centre_from < -slack).any()
+    )
+    only_centre, only_corner = corner_out and not centre_out, centre_out and not corner_out
+    if not form.names:
+        return _of_yolo(path, form, survey, tally, only_centre, only_corner)
+    if not form.bare or only_corner:
+        return form
+    if only_centre:
+        tally.note(
+            "its x,y are taken for the centre, since boxes would reach out of the picture if they "
+            "were the upper left corner"
+        )
+        return form.with_centres()
+    if survey.in_shares or form.of_ultralytics:
+        raise InputError(
+            f"{path}: its x,y,w,h may be the centre (as in YOLO's xywh) or the upper left corner; "
+            "call the columns xc,yc,w,h or left,top,width,height"
+        )
+    tally.note(
+        "its x,y are taken for the upper left corner; if they are the centre, call them xc,yc"
+    )
+    return form
+
+
+def _of_yolo(
+    path: str | os.PathLike[str],
+    form: TableForm,
+    survey: _Survey,
+    tally: Tally,
+    only_centre: bool,
+    only_corner: bool,
+) -> TableForm:
+    """The form of rows without a header: of MOTChallenge, or YOLO's labels behind their frame.
+
+    Two boxes of a frame have two ids, and may have one class.
+    """
+    told = survey.second.least >= 0.0 and survey.second.whole
+    classes = survey.same_second > 0.5 * survey.crowded > 0.0
+    # MOTChallenge ends its rows with a place in the world that nobody knows.
+    mot = form.columns > _EIGHTH + 2 and survey.eighth.least == survey.eighth.greatest == -1.0
+    if not told or only_corner or mot or "label" in form.places:
+        return form
+    ids = survey.eighth
+    numbered = ids.whole and ids.least >= 0.0 and form.columns == _EIGHTH + 1
+    if not survey.in_shares:
+        one_class = survey.second.greatest == 0.0 and ids.greatest > 0.0
+        if not (numbered and (classes or one_class)):
+            return form
+    elif classes or only_centre or (numbered and not survey.crowded):
+        tally.note(
+            "it has no header; its columns are taken for frame, class, centre and size in shares "
+            "of the picture, as YOLO writes them"
+        )
+        # Without a confidence the id follows the size.
+        return form.with_classes_first(form.columns == _EIGHTH and survey.confidence.whole)
+    raise InputError(
+        f"{path}: has no header, and nothing tells whether its rows are frame,id,left,top,width,"
+        "height or, as YOLO writes them, frame,class,centre and size; write a header, as "
+        "frame,class_id,xc,yc,w,h,conf,track_id"
+    )
+
+
 def _meaning(
     path: str | os.PathLike[str],
     form: TableForm,
@@ -290,7 +409,7 @@ def _scale_px(
     span = survey.extent
     if not survey.boxes or span.whole:
         return 1.0, 1.0
-    if max(abs(span.least), abs(span.greatest)) > _SHARES_REACH:
+    if not survey.in_shares:
         return _percent_px(survey, tally, image_size_px)
     if image_size_px is None:
         raise InputError(

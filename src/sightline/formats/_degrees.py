@@ -10,6 +10,8 @@ import pandas as pd
 
 from sightline.errors import InputError
 from sightline.formats import _files
+from sightline.formats._log_rows import NO_PLACE, UNREAD_PLACE
+from sightline.tally import Tally
 from sightline.types import FloatArray
 
 _NOTHING = frozenset(("", "nan", "null", "none", "n/a", "na", "-", "--", "---", "nil", "undefined"))
@@ -21,8 +23,12 @@ _TEXT = re.compile(
     r"\s*(?P<after>[NSEWnsew])?"
 )
 _MOST_TEXT = 60
+# Degrees of two digits, or of three, and the two of the minutes.
+_PADDED = (r"(?<![\d.])\d{4}(?:\.\d+)?(?!\d)", r"(?<![\d.])\d{5}(?:\.\d+)?(?!\d)")
+_MOST = 0.5
 _SIDES = ("NS", "EW")
 _LIMITS_DEG = (90.0, 180.0)
+_ROUND_DEG = 360.0
 
 # Degrees times 10^7; what else whole numbers are written in is degrees times 10^6, thousandths of
 # an arc second, and ten-thousandths of a minute.
@@ -32,51 +38,81 @@ _LEAST_WHOLE = 1e4
 
 
 def read_degrees(
-    path: str | os.PathLike[str], columns: tuple[pd.Series, pd.Series], names: tuple[str, str]
+    path: str | os.PathLike[str],
+    columns: tuple[pd.Series, pd.Series],
+    names: tuple[str, str],
+    *,
+    tally: Tally,
+    row: str = "line",
 ) -> tuple[FloatArray, FloatArray, str]:
     """Latitude and longitude of texts, NaN where there is none.
 
     Understood are decimal degrees with a point or a comma, degrees and minutes, degrees, minutes
-    and seconds, each with a sign or a letter, and whole numbers of 10^-7 degrees.
+    and seconds, each with a sign or a letter, ``ddmm.mmmm`` with letters, and whole numbers of
+    10^-7 degrees.
 
     Args:
         path: The file, for messages.
         columns: Text; the index is the line.
         names: What the file calls them.
+        tally: Takes the rows that have no place, or none that can be read.
+        row: What the index counts.
 
     Returns:
         Two (N,) float64 arrays, and what was assumed, or ``""``.
 
     Raises:
-        InputError: A text is no angle, or of the other axis; or whole numbers may be of several
-            units.
+        InputError: Half of the texts are no angles, or of the other axis; or whole numbers may be
+            of several units.
     """
-    latitude, longitude = (_axis(path, columns[i], names[i], i) for i in (0, 1))
+    axes = [_axis(columns[i].tolist(), i) for i in (0, 1)]
+    unread = np.isinf(axes[0]) | np.isinf(axes[1])
+    _leave_out(path, columns, names, axes, tally, row)
+    latitude, longitude = (np.where(unread, np.nan, axis) for axis in axes)
+    if _packed(columns, latitude, longitude, names):
+        latitude, longitude = _unpacked(latitude), _unpacked(longitude)
+        return latitude, longitude, "its places are taken for degrees and minutes (ddmm.mmmm)"
     scale, said = _scale(path, columns[0].index, latitude, longitude, names)
     latitude, longitude = latitude / scale, longitude / scale
-    known = longitude[np.isfinite(longitude)]
-    if known.size and known.min() >= 0.0 and 180.0 < known.max() <= 360.0:
+    known = longitude[np.abs(longitude) <= _ROUND_DEG]
+    if known.size and known.min() >= 0.0 and known.max() > 180.0:
         said = "its longitudes run from 0° to 360°"
         longitude = np.where(longitude > 180.0, longitude - 360.0, longitude)
     return latitude, longitude, said
 
 
-def _axis(path: str | os.PathLike[str], column: pd.Series, name: str, axis: int) -> FloatArray:
-    texts = column.tolist()
+def _axis(texts: list[str], axis: int) -> FloatArray:
+    """(N,) degrees, NaN where there are none, infinite where a text is no angle."""
     try:
-        values = np.array([text or "nan" for text in texts], dtype=np.float64)
+        return np.array([text or "nan" for text in texts], dtype=np.float64)
     except (ValueError, OverflowError):
-        values = np.empty(len(texts))
-        for i, text in enumerate(texts):
-            value = _angle(text, axis)
-            if value is None:
-                raise InputError(
-                    f"{path}, line {column.index[i]}: {_files.shortened(text)} is no number "
-                    f"({name.strip()}); expected decimal degrees"
-                ) from None
-            values[i] = value
-    _files.refuse(path, column.index, np.isinf(values), column, f"is no number ({name.strip()})")
-    return values
+        values = (_angle(text, axis) for text in texts)
+        return np.array([float("inf") if value is None else value for value in values])
+
+
+def _leave_out(
+    path: str | os.PathLike[str],
+    columns: tuple[pd.Series, pd.Series],
+    names: tuple[str, str],
+    axes: list[FloatArray],
+    tally: Tally,
+    row: str,
+) -> None:
+    unread = np.isinf(axes[0]) | np.isinf(axes[1])
+    missing = ~unread & (np.isnan(axes[0]) | np.isnan(axes[1]))
+    if unread.any() and 2 * unread.sum() >= (~missing).sum():
+        i = int(np.argmax(unread))
+        axis = 0 if np.isinf(axes[0][i]) else 1
+        raise InputError(
+            f"{path}, {row} {columns[0].index[i]}: {_files.shortened(columns[axis].iloc[i])} is no "
+            f"number ({names[axis].strip()}); expected decimal degrees"
+        )
+    for which, reason in ((unread, UNREAD_PLACE), (missing, NO_PLACE)):
+        if which.any():
+            i = int(np.argmax(which))
+            text = f"{columns[0].iloc[i]}, {columns[1].iloc[i]}"
+            where = f"{row} {columns[0].index[i]}"
+            tally.leave_out(reason, int(which.sum()), row=where, text=text)
 
 
 def _angle(text: str, axis: int) -> float | None:
@@ -105,6 +141,39 @@ def _angle(text: str, axis: int) -> float | None:
     negative = letter in ("S", "W") or (match["sign"] or "+") != "+"
     degrees = parts[0] + parts[1] / 60.0 + parts[2] / 3600.0
     return -degrees if negative else degrees
+
+
+def _packed(
+    columns: tuple[pd.Series, pd.Series],
+    latitude: FloatArray,
+    longitude: FloatArray,
+    names: tuple[str, str],
+) -> bool:
+    """Whether numbers are degrees and minutes without a mark between, as NMEA 0183 has them.
+
+    A name or the letters of the hemispheres have to say so, since metres look the same.
+    """
+    known = np.isfinite(latitude) & np.isfinite(longitude)
+    if not known.any():
+        return False
+    texts = [column[known] for column in columns]
+    told = all(re.search("dd?mm|nmea", name.lower()) for name in names)
+    lettered = all(text.str.contains("[NSEWnsew]").mean() > _MOST for text in texts)
+    if not (told or lettered):
+        return False
+    places = np.abs(np.stack([latitude[known], longitude[known]]))
+    fits = (places % 100.0 < 60.0).all(axis=0) & (places[0] <= 9000.0) & (places[1] <= 18000.0)
+    padded = texts[0].str.contains(_PADDED[0]) & texts[1].str.contains(_PADDED[1])
+    large = (places[0] > _LIMITS_DEG[0]) | (places[1] > _LIMITS_DEG[1]) | padded.to_numpy(bool)
+    return bool((fits & (large | told)).mean() > _MOST)
+
+
+def _unpacked(values: FloatArray) -> FloatArray:
+    """Degrees of ``dddmm.mmmm``; what has no such minutes is on no earth."""
+    size = np.abs(values)
+    minutes = size % 100.0
+    degrees = (size - minutes) / 100.0 + minutes / 60.0
+    return np.asarray(np.copysign(np.where(minutes < 60.0, degrees, size * 1e3), values))
 
 
 def _scale(

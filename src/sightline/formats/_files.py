@@ -15,11 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
 from sightline.formats._times import EXPECTED, NotUnderstoodError, read_numbers, read_times
-from sightline.plausibility import FASTEST_MPS, HARDEST_MPS2, implausible
 from sightline.synchronisation import repeated
 from sightline.tally import Tally
 from sightline.text import xml_text as xml_text
-from sightline.types import BoolArray, Fixes, FloatArray, StrArray
+from sightline.types import BoolArray, FloatArray, StrArray
 
 _logger = logging.getLogger(__name__)
 
@@ -269,7 +268,7 @@ def refuse(
     """
     if bad.any():
         i = int(np.argmax(bad))
-        what = shortened(_text(np.asarray(values)[i]))
+        what = shortened(cell(np.asarray(values)[i]))
         raise InputError(f"{path}, {row} {np.asarray(lines)[i]}: {what} {reason}")
 
 
@@ -347,12 +346,12 @@ def times(
         if pd.api.types.is_numeric_dtype(column):
             read = read_numbers(column.to_numpy(dtype=np.float64), dated=dated)
         else:
-            texts = ["" if gone else _text(cell) for gone, cell in zip(empty, column, strict=True)]
+            texts = ["" if gone else cell(one) for gone, one in zip(empty, column, strict=True)]
             read = read_times(texts, dated=dated)
     except NotUnderstoodError as error:
-        line, cell = column.index[error.row], shortened(_text(column.iloc[error.row]))
+        line, said = column.index[error.row], shortened(cell(column.iloc[error.row]))
         why = error.why.replace("is no time", f"is no time ({column.name})", 1)
-        raise InputError(f"{path}, {row} {line}: {cell} {why}") from error
+        raise InputError(f"{path}, {row} {line}: {said} {why}") from error
     if tally is not None:
         for sentence in read.assumed:
             tally.note(sentence)
@@ -361,98 +360,14 @@ def times(
     return read.time_utc_s
 
 
-def _text(cell: object) -> str:
+def cell(value: object) -> str:
     """A cell as it stands; Python writes out no number of over 4,300 digits."""
     try:
-        return str(cell)
+        return str(value)
     except ValueError:
         return "a number of thousands of digits"
     except NotImplementedError:
         return "a time that no calendar has"
-
-
-def fixes(
-    path: str | os.PathLike[str],
-    rows: ArrayLike,
-    time_utc_s: ArrayLike,
-    latitude_deg: ArrayLike,
-    longitude_deg: ArrayLike,
-    *,
-    name: str = "",
-    row: str = "line",
-    tally: Tally | None = None,
-) -> Fixes:
-    """Fixes of a file that can be true; the others are left out and counted.
-
-    Args:
-        path: The file.
-        rows: (N,) where in the file each fix stands.
-        time_utc_s: (N,) POSIX seconds.
-        latitude_deg: (N,) degrees north.
-        longitude_deg: (N,) degrees east.
-        name: Whose log it is.
-        row: What ``rows`` counts.
-        tally: Takes what is left out; None: it is logged.
-
-    Raises:
-        InputError: A place is not on the earth, times decrease, or no fix can be true.
-    """
-    when, latitude, longitude = (
-        np.asarray(values, dtype=np.float64) for values in (time_utc_s, latitude_deg, longitude_deg)
-    )
-    kept = usable(path, rows, when, latitude, longitude, row=row, tally=tally)
-    return Fixes(when[kept], latitude[kept], longitude[kept], name=name)
-
-
-def usable(
-    path: str | os.PathLike[str],
-    rows: ArrayLike,
-    time_utc_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-    *,
-    row: str = "line",
-    tally: Tally | None = None,
-) -> BoolArray:
-    """Which fixes of a file can be true, (N,) bool, for readers with further columns; see `fixes`.
-
-    Args:
-        path: The file.
-        rows: (N,) where in the file each fix stands.
-        time_utc_s: (N,) POSIX seconds.
-        latitude_deg: (N,) degrees north.
-        longitude_deg: (N,) degrees east.
-        row: What ``rows`` counts.
-        tally: Takes what is left out; None: it is logged.
-
-    Raises:
-        InputError: As `fixes`.
-    """
-    numbers = np.asarray(rows)
-    check_places(path, numbers, latitude_deg, longitude_deg, row=row)
-    once = ~repeated(time_utc_s, latitude_deg, longitude_deg)
-    check_order(path, numbers[once], time_utc_s[once], row=row)
-    own = tally if tally is not None else Tally(path)
-    found = implausible(time_utc_s, latitude_deg, longitude_deg)
-    for reason, which in (
-        ("that stand twice", found.repeated),
-        ("at 0° north, 0° east, which receivers write that have no fix", found.nowhere),
-        (f"that nothing could have reached at {FASTEST_MPS:g} m/s", found.out_of_reach),
-        (f"off the track and back at over {HARDEST_MPS2:g} m/s²", found.astray),
-    ):
-        if which.any():
-            i = int(np.argmax(which))
-            text = f"{latitude_deg[i]:.6f}, {longitude_deg[i]:.6f} at {rfc3339(time_utc_s[i])}"
-            own.leave_out(reason, int(which.sum()), row=f"{row} {numbers[i]}", text=text)
-    kept = found.kept
-    if kept.size and 2 * kept.sum() <= (once & ~found.nowhere).sum():
-        raise InputError(
-            f"{path}: no more than {kept.sum()} of its {kept.size} fixes can be true; left out: "
-            f"{own.reasons()}"
-        )
-    if tally is None:
-        own.warn(_logger)
-    return kept
 
 
 def check_order(

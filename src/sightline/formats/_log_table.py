@@ -23,11 +23,12 @@ def _names(*groups: str) -> tuple[tuple[str, ...], ...]:
 _TIMES = _names(
     "timeutc utctime datetimeutc utcdatetime timestamputc utctimestamp utc",
     "time timestamp datetime",
-    "gpstime gpstimestamp gpsdatetime isotime iso8601 iso8601time fixtime datetimestamp",
+    "gpstime gpstimestamp gpsdatetime isotime iso8601 iso8601time fixtime datetimestamp "
+    "basedatetime",
     "loggedat recordedat createdat devicetime locationtime timeofday",
     "epoch epochtime unix unixtime unixtimestamp posix posixtime ts timems timestampms epochms "
     "unixms unixtimems timens timestampns timesec times timestamps timestampus timeus "
-    "timestampmillis timemillis",
+    "timestampmillis timemillis tst",
 )
 _DATES = ("dateutc", "utcdate", "date", "gpsdate", "fixdate", "day")
 _LOCAL = ("timelocal", "localtime", "datetimelocal", "localdatetime")
@@ -35,19 +36,36 @@ _LATITUDES = _names(
     "latitudedeg",
     "latitude lat latdeg latitudedegrees gpslatitude gpslat latitudedd latdd latdegrees "
     "latitudewgs84 latwgs84 positionlat positionlatitude locationlat latitudedecimal latdecimal "
-    "latitudens latns",
+    "latitudens latns latddmm latddmmmmmm latitudeddmm latnmea latitudenmea",
     "latitudee7 late7 latitudee6 late6",
 )
 _LONGITUDES = _names(
     "longitudedeg",
     "longitude lon lng long londeg lngdeg longitudedegrees gpslongitude gpslon gpslong gpslng "
     "longitudedd londd londegrees longitudewgs84 lonwgs84 positionlon positionlong "
-    "positionlongitude locationlon locationlng longitudedecimal londecimal longitudeew lonew",
+    "positionlongitude locationlon locationlng longitudedecimal londecimal longitudeew lonew "
+    "londdmm londddmm londddmmmmmm longitudeddmm longitudedddmm lonnmea longitudenmea",
     "longitudee7 lone7 lnge7 longitudee6 lone6 lnge6",
 )
-_HEMISPHERES = _names("ns northsouth latns nsindicator", "ew eastwest lonew ewindicator")
+_HEMISPHERES = _names(
+    "ns northsouth latns nsindicator latdir latdirection latitudedir latitudedirection lathemi "
+    "lathemisphere latitudehemisphere latref latituderef gpslatituderef",
+    "ew eastwest lonew ewindicator londir londirection longitudedir longitudedirection lonhemi "
+    "lonhemisphere longitudehemisphere lonref longituderef gpslongituderef",
+)
 # What programs call a heading alone is often the course over ground.
 _HEADINGS = ("headingdeg", "headingtrue", "headingtruedeg", "trueheading", "trueheadingdeg", "hdt")
+_VESSELS = ("mmsi", "sourcemmsi", "vesselmmsi", "shipmmsi", "mmsinumber")
+_COURSES = ("cog", "cogdeg", "course", "coursedeg", "courseoverground", "coursetrue")
+_SPEEDS = ("sog", "speed", "speedoverground", "groundspeed")
+_SPEED_UNITS = {
+    r"kn|kts?|knots?": 1852.0 / 3600.0,
+    r"m/s|mps|ms-1|ms": 1.0,
+    r"km/h|kmh|kph": 1.0 / 3.6,
+    r"mph": 1609.344 / 3600.0,
+}
+# The Danish Maritime Authority writes the day first, in days of AIS of one date each.
+_DANISH = {"timestamp", "typeofmobile", "mmsi"}
 _ANY_TIME = frozenset((*sum(_TIMES, ()), *_DATES, *_LOCAL))
 _ANY_LATITUDE, _ANY_LONGITUDE = frozenset(sum(_LATITUDES, ())), frozenset(sum(_LONGITUDES, ()))
 
@@ -55,6 +73,7 @@ _ANY_LATITUDE, _ANY_LONGITUDE = frozenset(sum(_LATITUDES, ())), frozenset(sum(_L
 _NEW_LINE = re.compile("\r\n|\r|\n")
 _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "//", "%")
+_COMMENT = re.compile(r"^\s*(?:#|//|%)[#/%\s]*")
 _HEADER_WITHIN = 60
 _MOST_BYTES = 512 * 2**20
 _RADIANS = re.compile(r"[\[(_\s]rad(ians?)?\b")
@@ -75,6 +94,10 @@ class LogTable:
         places: What the file calls latitude and longitude.
         cut_short: Lines that end before their last column.
         heading: Text of the true heading; None where there is no such column, or none is asked for.
+        mmsi: Text of the MMSI; as for ``heading``.
+        course: Text of the course over ground; as for ``heading``.
+        speed: Text of the speed over ground; as for ``heading``.
+        day_first: Whether its program writes dates with the day first; None: not known.
     """
 
     time: pd.Series
@@ -83,6 +106,10 @@ class LogTable:
     places: tuple[str, str]
     cut_short: tuple[int, ...]
     heading: pd.Series | None = None
+    mmsi: pd.Series | None = None
+    course: pd.Series | None = None
+    speed: pd.Series | None = None
+    day_first: bool | None = None
 
 
 def plain(name: str) -> str:
@@ -90,20 +117,61 @@ def plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", re.sub(r"[\[(].*", "", name.lower())) or name.lower()
 
 
+def alias_of(name: str) -> str:
+    """What a name of a column is another name of: time, latitude, longitude, or nothing."""
+    wanted = {"time": _ANY_TIME, "latitude": _ANY_LATITUDE, "longitude": _ANY_LONGITUDE}
+    return next((key for key, names in wanted.items() if plain(name) in names), "")
+
+
 def is_log_table(head: str) -> bool:
     """Whether a text begins as a table with a time and a place, by the names of its columns."""
     return _header(_NEW_LINE.split(head)) is not None
 
 
-def read_log_table(path: str | os.PathLike[str], *, heading: bool = False) -> LogTable:
+def is_vessel_table(head: str) -> bool:
+    """Whether a text begins as a log that says of each row which vessel it is of, by its MMSI."""
+    lines = _NEW_LINE.split(head)
+    found = _header(lines)
+    if found is None:
+        return False
+    number, delimiter = found
+    names = [plain(name) for name in _cells(_uncommented(lines[number]), delimiter)]
+    which = [i for i, name in enumerate(names) if name in _VESSELS]
+    if not which:
+        return False
+    rows = [_cells(line, delimiter) for line in lines[number + 1 :] if not _passed_over(line)]
+    return any(cell.strip() for row in rows for cell in row[which[0] : which[0] + 1])
+
+
+def mps_of_unit(name: str) -> float | None:
+    """Metres a second of the unit that the name of a column of speeds tells; None: it tells none.
+
+    What is called SOG is in knots, as in AIS.
+    """
+    words = re.split(r"[^a-z/]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
+    for unit, mps in _SPEED_UNITS.items():
+        if any(re.fullmatch(unit, word) for word in words):
+            return mps
+    return _SPEED_UNITS[r"kn|kts?|knots?"] if plain(name) in ("sog", "speedoverground") else None
+
+
+def _is_speed(name: str) -> bool:
+    units = "|".join(_SPEED_UNITS).replace("/", "").replace("-1", "1")
+    return re.sub(rf"({units})$", "", plain(name)) in _SPEEDS
+
+
+def read_log_table(
+    path: str | os.PathLike[str], *, heading: bool = False, vessel: bool = False
+) -> LogTable:
     """The time and the place in each row of a table, whatever its program calls them.
 
     Columns are parted by commas, semicolons, tabs, bars or blanks. Lines before the header, and
-    those that begin with ``#``, ``//`` or ``%``, are passed over.
+    those that begin with ``#``, ``//`` or ``%``, are passed over; one of these may be the header.
 
     Args:
         path: The file.
         heading: Whether a heading is asked for as well.
+        vessel: Whether the MMSI, the course and the speed are.
 
     Raises:
         InputError: The file is too large or no text, a column is missing or may be one of
@@ -118,9 +186,17 @@ def read_log_table(path: str | os.PathLike[str], *, heading: bool = False) -> Lo
     rows = _rows(path, lines, number, delimiter)
     names = next(row for _, row in rows)
     columns = _columns(path, names)
-    which = [i for i, name in enumerate(map(plain, names)) if heading and name in _HEADINGS]
+    for key, asked, aliases in (
+        ("heading", heading, _HEADINGS),
+        ("mmsi", vessel, _VESSELS),
+        ("course", vessel, _COURSES),
+    ):
+        which = [i for i, name in enumerate(names) if asked and plain(name) in aliases]
+        if which:
+            columns[key] = which[0]
+    which = [i for i, name in enumerate(names) if vessel and _is_speed(name)]
     if which:
-        columns["heading"] = which[0]
+        columns["speed"] = which[0]
     cells: dict[str, list[str]] = {key: [] for key in columns}
     index, cut_short = [], []
     for line, row in rows:
@@ -147,7 +223,12 @@ def read_log_table(path: str | os.PathLike[str], *, heading: bool = False) -> Lo
         longitude=_with_hemisphere(table, "longitude", "ew"),
         places=(names[columns["latitude"]].strip(), names[columns["longitude"]].strip()),
         cut_short=tuple(cut_short),
-        heading=table["heading"].rename(names[which[0]].strip()) if which else None,
+        day_first=True if set(map(plain, names)) >= _DANISH else None,
+        **{
+            key: table[key].rename(names[columns[key]].strip())
+            for key in ("heading", "mmsi", "course", "speed")
+            if key in columns
+        },
     )
 
 
@@ -156,7 +237,8 @@ def _rows(
 ) -> Iterator[tuple[int, list[str]]]:
     """Number of its line, and cells of each row, the header's first."""
     # Blank lines and comments become empty, so that lines keep their numbers.
-    body = ("" if _passed_over(line) else f"{line}\n" for line in lines[header:])
+    rows = [_uncommented(lines[header]), *lines[header + 1 :]]
+    body = ("" if _passed_over(line) else f"{line}\n" for line in rows)
     reader = csv.reader(
         (line or "\n" for line in body), delimiter=delimiter, skipinitialspace=True, strict=True
     )
@@ -174,20 +256,41 @@ def _passed_over(line: str) -> bool:
     return not line.strip() or line.lstrip().startswith(_COMMENTS)
 
 
+def _uncommented(line: str) -> str:
+    return _COMMENT.sub("", line)
+
+
 def _header(lines: Sequence[str]) -> tuple[int, str] | None:
     """Number of the header, from 0, and what parts its names; None where there is no header."""
     tried = 0
+    commented = None
     for number, line in enumerate(lines):
-        if _passed_over(line) or line.lower().startswith("sep="):
+        if not line.strip() or line.lower().startswith("sep="):
             continue
-        for delimiter in _DELIMITERS:
-            names = {plain(name) for name in _cells(line, delimiter)}
-            if names & _ANY_TIME and names & _ANY_LATITUDE and names & _ANY_LONGITUDE:
-                return number, delimiter
+        delimiter = _parted_by(_uncommented(line))
+        if _passed_over(line):
+            # The last one before the rows, of as many cells as they have.
+            commented = (number, delimiter) if delimiter and not tried else commented
+            continue
+        if delimiter:
+            return number, delimiter
+        if commented and not tried:
+            names = _cells(_uncommented(lines[commented[0]]), commented[1])
+            cells = _cells(line, commented[1])
+            commented = commented if len(cells) in (len(names), len(names) + 1) else None
         tried += 1
         if tried >= _HEADER_WITHIN:
             break
-    return None
+    return commented
+
+
+def _parted_by(line: str) -> str:
+    """What parts the names in a line that has a time and a place; empty where it has none."""
+    for delimiter in _DELIMITERS:
+        names = {plain(name) for name in _cells(line, delimiter)}
+        if names & _ANY_TIME and names & _ANY_LATITUDE and names & _ANY_LONGITUDE:
+            return delimiter
+    return ""
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

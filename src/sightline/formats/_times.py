@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 
 import numpy as np
@@ -97,14 +97,22 @@ class Times:
         time_utc_s: (N,) float64, POSIX seconds; NaN where there was no text.
         assumed: What was assumed of how they are written, a sentence each.
         zoneless: Whether a text named no zone, and was taken for UTC.
+        refused: Rows whose text alone is no time, in a column that can be read, and why.
     """
 
     time_utc_s: FloatArray
     assumed: tuple[str, ...] = ()
     zoneless: bool = False
+    refused: dict[int, str] = field(default_factory=dict)
 
 
-def read_times(texts: Sequence[str], *, dated: bool = True) -> Times:
+def read_times(
+    texts: Sequence[str],
+    *,
+    dated: bool = True,
+    strict: bool = True,
+    day_first: bool | None = None,
+) -> Times:
     """POSIX seconds of texts that belong together: a column, or the points of a file.
 
     Understood are ISO 8601 in its forms, and what loggers, spreadsheets and languages make of it;
@@ -114,6 +122,8 @@ def read_times(texts: Sequence[str], *, dated: bool = True) -> Times:
     Args:
         texts: (N,) as they stand; an empty one has no time.
         dated: Whether seconds of before 2000 are refused, since they are no dates of logs.
+        strict: Whether one text that is no time refuses all; else it is among ``refused``.
+        day_first: How dates like 03/04/2024 are read where no row tells; None: they are refused.
 
     Raises:
         NotUnderstoodError: A text is no time, or may be two.
@@ -123,13 +133,19 @@ def read_times(texts: Sequence[str], *, dated: bool = True) -> Times:
     written = (clean != "").to_numpy(dtype=bool)
     number = written & clean.map(_is_number).to_numpy(dtype=bool)
     assumed: tuple[str, ...] = ()
+    refused: dict[int, str] = {}
     if number.any():
+        rows = np.flatnonzero(number)
         values = np.array([float(text.replace(",", ".")) for text in clean[number]])
         try:
-            numbers = read_numbers(values, dated=dated)
+            numbers = read_numbers(values, dated=dated, strict=strict)
+            seconds[rows], assumed = numbers.time_utc_s, numbers.assumed
+            refused = {int(rows[i]): why for i, why in numbers.refused.items()}
         except NotUnderstoodError as error:
-            raise NotUnderstoodError(int(np.flatnonzero(number)[error.row]), error.why) from error
-        seconds[number], assumed = numbers.time_utc_s, numbers.assumed
+            # A few numbers among dates are rows at fault; a column of them is not understood.
+            if strict or 2 * rows.size > written.sum():
+                raise NotUnderstoodError(int(rows[error.row]), error.why) from error
+            refused = dict.fromkeys(map(int, rows), error.why)
     canonical = clean.str.fullmatch(_ISO).to_numpy(dtype=bool)
     if canonical.any():
         stamps = pd.to_datetime(clean[canonical], utc=True, format="ISO8601", errors="coerce")
@@ -138,33 +154,40 @@ def read_times(texts: Sequence[str], *, dated: bool = True) -> Times:
         seconds[canonical] = from_datetime64(np.where(known, moments, np.datetime64("NaT")))
     zoneless = bool((canonical & ~clean.str.contains(_ZONED).to_numpy(dtype=bool)).any())
     # What pandas cannot say, as a leap second, is looked at once more.
-    rest = np.flatnonzero(written & np.isnan(seconds))
+    rest = np.flatnonzero(written & np.isnan(seconds) & ~number)
     if rest.size:
-        seconds[rest], orders, bare = _texts(clean, rest)
-        assumed += orders
-        zoneless = zoneless or bare
+        found = _texts(clean, rest, strict, day_first)
+        seconds[rest] = found.time_utc_s
+        refused |= {int(rest[i]): why for i, why in found.refused.items()}
+        assumed += found.assumed
+        zoneless = zoneless or found.zoneless
     outside = written & ~((seconds > _FIRST_S) & (seconds < _LAST_S))
-    if outside.any():
+    outside[list(refused)] = False
+    if outside.any() and strict:
         raise NotUnderstoodError(int(np.argmax(outside)), f"is no time; {EXPECTED}")
-    return Times(seconds, assumed, zoneless)
+    seconds[outside] = np.nan
+    refused |= dict.fromkeys(map(int, np.flatnonzero(outside)), f"is no time; {EXPECTED}")
+    return Times(seconds, assumed, zoneless, dict(sorted(refused.items())))
 
 
-def read_numbers(values: FloatArray, *, dated: bool = True) -> Times:
+def read_numbers(values: FloatArray, *, dated: bool = True, strict: bool = True) -> Times:
     """POSIX seconds of numbers, by their size: in seconds or parts of it, or days of spreadsheets.
 
     Args:
         values: (N,) as they stand; NaN has no time.
         dated: As for `read_times`.
+        strict: As for `read_times`.
 
     Raises:
         NotUnderstoodError: A number is no time, or of another unit than those before it.
     """
     rows = np.flatnonzero(~np.isnan(values))
     seconds = np.full(values.size, np.nan)
-    if rows.size:
-        seconds[rows], said = _posix_numbers(values[rows], rows, dated)
-        return Times(seconds, (said,) if said else ())
-    return Times(seconds)
+    if not rows.size:
+        return Times(seconds)
+    found = _posix_numbers(values[rows], rows, dated, strict)
+    seconds[rows] = found.time_utc_s
+    return Times(seconds, found.assumed, refused=found.refused)
 
 
 def _is_number(text: str) -> bool:
@@ -177,20 +200,28 @@ def _basic(text: str) -> bool:
     return len(whole) == 14 and whole[:2] in ("19", "20") and whole.isdigit()
 
 
-def _posix_numbers(values: FloatArray, rows: IntArray, dated: bool) -> tuple[FloatArray, str]:
+def _posix_numbers(values: FloatArray, rows: IntArray, dated: bool, strict: bool) -> Times:
     for name, scale in _POSIX_UNITS:
         first_s = _FIRST_DATED_S if dated or scale > 1.0 else _FIRST_S
         fits = (values > first_s * scale) & (values < _LAST_S * scale)
-        if not fits[0]:
+        if not (fits[0] if strict else 2 * fits.sum() > fits.size):
             continue
-        if not fits.all():
-            why = f"is no time in POSIX {name}, as others are; {EXPECTED}"
+        why = f"is no time in POSIX {name}, as others are; {EXPECTED}"
+        if strict and not fits.all():
             raise NotUnderstoodError(int(rows[np.argmin(fits)]), why)
-        said = "" if name == "seconds" else f"its times are taken for POSIX {name}"
-        return values / scale, said
-    if _are_serials(values):
+        said = () if name == "seconds" else (f"its times are taken for POSIX {name}",)
+        refused = dict.fromkeys(map(int, rows[~fits]), why)
+        return Times(np.where(fits, values / scale, np.nan), said, refused=refused)
+    serial = (values >= _SERIAL_DAYS[0]) & (values <= _SERIAL_DAYS[1])
+    most = serial.all() if strict else 2 * serial.sum() > serial.size
+    if most and _are_serials(values[serial]):
         seconds = np.round((values - _SERIAL_EPOCH_DAYS) * _DAY_S, 4)
-        return seconds, "its times are taken for the day numbers of a spreadsheet, in UTC"
+        why = f"is no day number of a spreadsheet, as others are; {EXPECTED}"
+        return Times(
+            np.where(serial, seconds, np.nan),
+            ("its times are taken for the day numbers of a spreadsheet, in UTC",),
+            refused=dict.fromkeys(map(int, rows[~serial]), why),
+        )
     why = "is no time"
     if dated and 0.0 <= values[0] <= _FIRST_DATED_S:
         why = "has no date (seconds of a day, of a recording, or since another year than 1970?)"
@@ -198,24 +229,38 @@ def _posix_numbers(values: FloatArray, rows: IntArray, dated: bool) -> tuple[Flo
 
 
 def _are_serials(values: FloatArray) -> bool:
-    inside = ((values >= _SERIAL_DAYS[0]) & (values <= _SERIAL_DAYS[1])).all()
-    if not inside or values.size < 3 or (values % 1.0 == 0.0).all():
+    if values.size < 3 or (values % 1.0 == 0.0).all():
         return False
     return bool(np.median(np.abs(np.diff(values))) < _SERIAL_STEP)
 
 
-def _texts(clean: pd.Series, rows: IntArray) -> tuple[FloatArray, tuple[str, ...], bool]:
-    found = [_match(clean[row], int(row)) for row in rows]
-    orders = _day_first(found, rows)
-    seconds = np.empty(rows.size)
+def _texts(clean: pd.Series, rows: IntArray, strict: bool, day_first: bool | None) -> Times:
+    """Times of texts that are no numbers; their rows are counted among ``rows``."""
+    found: list[dict[str, str | None]] = []
+    refused: dict[int, str] = {}
+    for i, row in enumerate(rows):
+        try:
+            found.append(_match(clean[row], int(row)))
+        except NotUnderstoodError as error:
+            if strict:
+                raise
+            found.append({})
+            refused[i] = error.why
+    orders = _day_first(found, rows, day_first)
+    seconds = np.full(rows.size, np.nan)
     for i, (parts, row) in enumerate(zip(found, rows, strict=True)):
+        if i in refused:
+            continue
         try:
             seconds[i] = _posix_s(parts, orders)
         except ValueError as error:
-            raise NotUnderstoodError(int(row), f"is no time ({error}); {EXPECTED}") from error
+            why = f"is no time ({error}); {EXPECTED}"
+            if strict:
+                raise NotUnderstoodError(int(row), why) from error
+            refused[i] = why
     said = () if orders is None else (f"its dates are read {_ORDERS[orders]}",)
     bare = any(parts.get("zoned") is None and parts.get("hour") for parts in found)
-    return seconds, said, bare
+    return Times(seconds, said, bare, refused)
 
 
 def _match(text: str, row: int) -> dict[str, str | None]:
@@ -235,7 +280,9 @@ def _match(text: str, row: int) -> dict[str, str | None]:
     raise NotUnderstoodError(row, why)
 
 
-def _day_first(found: list[dict[str, str | None]], rows: IntArray) -> bool | None:
+def _day_first(
+    found: list[dict[str, str | None]], rows: IntArray, usual: bool | None
+) -> bool | None:
     """Whether dates of two small numbers have the day first; None where there are none."""
     dates = [
         (int(row), int(parts["first"] or 0), int(parts["next"] or 0), parts["mark"])
@@ -252,6 +299,8 @@ def _day_first(found: list[dict[str, str | None]], rows: IntArray) -> bool | Non
         )
     if days or months:
         return bool(days)
+    if usual is not None:
+        return usual
     # With points the day comes first wherever dates are written so.
     unclear = [row for row, first, second, mark in dates if first != second and mark != "."]
     if unclear:

@@ -240,9 +240,8 @@ def _kinds(rows: pd.DataFrame) -> np.ndarray:
     code = {word: value for value, word in enumerate(KINDS)}
     kinds = rows["kind"].astype(str).map(code)
     if kinds.isna().any():
-        raise InputError(
-            f"unknown kind {rows['kind'][kinds.isna()].iloc[0]!r}; known are {', '.join(KINDS)}"
-        )
+        unknown = _files.shortened(str(rows["kind"][kinds.isna()].iloc[0]))
+        raise InputError(f"unknown kind {unknown!r}; known are {', '.join(KINDS)}")
     return kinds.to_numpy(dtype=np.int8)
 
 

@@ -16,8 +16,10 @@ import pyais.exceptions
 import pyais.messages
 
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
 from sightline.formats._ais_messages import Message, read_messages
+from sightline.formats._ais_table import Report, read_table_reports
+from sightline.formats._log_table import is_vessel_table
 from sightline.formats._sentences import ReceptionClock
 from sightline.plausibility import distance_m
 from sightline.tally import Tally
@@ -49,16 +51,6 @@ _MOST_NAMED = 5
 _MOST_WAYS = 64
 
 
-@dataclass(frozen=True, slots=True)
-class _Report:
-    line: int
-    mmsi: int
-    time_utc_s: float
-    latitude_deg: float
-    longitude_deg: float
-    velocity_mps: tuple[float, float]
-
-
 @dataclass(frozen=True, eq=False)
 class AisVessel:
     """What a receiver logged of one vessel.
@@ -82,6 +74,9 @@ def read_ais(path: str | os.PathLike[str], *, tally: Tally | None = None) -> dic
     there is none, that of the RMC or ZDA before it will do. Where a report tells its second, the
     fix is at that second of the minute nearest to the reception. Reports arrive late and by several
     stations, so fixes are put in order, and repeats count once.
+
+    A table with a column ``mmsi``, as of MarineCadastre or of the Danish Maritime Authority, is
+    read as well, with its own times.
 
     The parts of a message are put together by their number, id, channel, talker and station, and
     only where they come close to each other. Left out and counted are parts whose others are
@@ -121,7 +116,7 @@ def read_ais_feed(
 def read_ais_vessel(
     path: str | os.PathLike[str], mmsi: int | None, *, tally: Tally | None = None
 ) -> Fixes:
-    """The positions of one vessel in a log of AIS sentences.
+    """The positions of one vessel in a log of AIS sentences, or in a table with their MMSIs.
 
     Args:
         path: The log.
@@ -150,10 +145,10 @@ def read_ais_vessel(
     return found
 
 
-def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[_Report]]:
+def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[Report]]:
     """The reports of each vessel in the order of time, each place and time once."""
     tally.format = "AIS"
-    seen: dict[int, dict[tuple[float, float, float], _Report]] = {}
+    seen: dict[int, dict[tuple[float, float, float], Report]] = {}
     repeats = 0
     for report in _reports(path, tally):
         place = (report.time_utc_s, report.latitude_deg, report.longitude_deg)
@@ -167,7 +162,7 @@ def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[_Repo
 
 def _feed(
     path: str | os.PathLike[str],
-    vessels: dict[int, list[_Report]],
+    vessels: dict[int, list[Report]],
     wanted: list[int],
     tally: Tally,
 ) -> dict[int, AisVessel]:
@@ -199,7 +194,7 @@ def _feed(
         columns = columns[kept]
         rows, (time_s, latitude, longitude) = columns[:, 5].astype(np.int64), columns[:, :3].T
         try:
-            usable = _files.usable(path, rows, time_s, latitude, longitude, tally=tally)
+            usable = _log_rows.usable(path, rows, time_s, latitude, longitude, tally=tally)
         except InputError:
             if len(wanted) == 1:
                 raise
@@ -263,7 +258,10 @@ def _reach_m(speed_mps: FloatArray, lag_s: FloatArray) -> FloatArray:
     return np.asarray(_PLACE_M + most_mps * lag_s + np.minimum(speed_mps, _FASTEST_MPS) * _TIME_S)
 
 
-def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[_Report]:
+def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[Report]:
+    if is_vessel_table(_files.beginning(path)):
+        yield from read_table_reports(path, tally)
+        return
     usable = 0
     reception = ReceptionClock()
     for message in read_messages(path, reception, tally):
@@ -283,7 +281,7 @@ def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[_Report]:
         assert received_s is not None, "there would be a reason"
         usable += 1
         second = getattr(report, "second", 60)
-        yield _Report(
+        yield Report(
             first.line,
             int(report.mmsi),
             _refined_s(received_s, second) if second < 60 else received_s,

@@ -9,11 +9,12 @@ import numpy as np
 
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
 from sightline.formats._degrees import read_degrees
-from sightline.formats._log_table import plain, read_log_table
+from sightline.formats._json_logs import read_json_log
+from sightline.formats._log_table import LogTable, plain, read_log_table
 from sightline.tally import Tally
-from sightline.types import Fixes
+from sightline.types import Fixes, FloatArray
 
 _logger = logging.getLogger(__name__)
 
@@ -27,54 +28,98 @@ def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) 
     call them (``timestamp``, ``lat``, ``lng``; date and time may be two). Times are ISO 8601 (UTC
     where they name no zone), POSIX seconds, or one of the forms of `sightline.formats._times`;
     places are degrees, or one of the forms of `sightline.formats._degrees`. Other columns are left
-    alone. Rows without a place are left out and counted, as are fixes that cannot be true
-    (`sightline.plausibility`).
+    alone. Rows without a place or a time, or with one that cannot be read or cannot be, are left
+    out and counted, as are fixes that cannot be true (`sightline.plausibility`); where no more than
+    half of the rows are left, the log is refused.
 
     Args:
         path: The file, its columns parted by commas, semicolons, tabs or bars.
         tally: Takes what was read, left out and assumed; None: what was left out is logged.
 
     Raises:
-        InputError: A column is missing, a cell cannot be understood, times decrease, or a place
-            is not on the earth.
+        InputError: A column is missing, half of the cells cannot be understood, times decrease, or
+            half of the places are not on the earth.
     """
     own = tally if tally is not None else Tally(path)
     own.format = "CSV"
     table = read_log_table(path)
-    latitude, longitude, said = read_degrees(path, (table.latitude, table.longitude), table.places)
-    if said:
-        own.note(said)
     own.count("rows", len(table.time) + len(table.cut_short))
-    if table.cut_short:
-        own.leave_out("cut short", len(table.cut_short), row=f"line {table.cut_short[0]}")
-    placed = np.isfinite(latitude) & np.isfinite(longitude)
-    if not placed.all():
-        first = int(np.argmin(placed))
-        own.leave_out(
-            "without a place",
-            int((~placed).sum()),
-            row=f"line {table.time.index[first]}",
-            text=f"{table.latitude.iloc[first]}, {table.longitude.iloc[first]}",
-        )
-    if not placed.any():
-        raise InputError(
-            f"{path}: holds no fix" + (f"; left out: {own.reasons()}" if own.left_out else "")
-        )
-    when = table.time[placed].replace("", None)
-    utc = "utc" in plain(str(table.time.name))
-    time_s = _files.times(path, when, dated=True, tally=own, zone_told=utc)
-    latitude, longitude, lines = latitude[placed], longitude[placed], when.index.to_numpy()
-    _files.check_digits(path, lines, when.tolist(), time_s, latitude, longitude)
-    if time_s.size > 2 and (np.diff(time_s) < 0.0).all():
-        own.note("its rows stand the newest first")
-        time_s, latitude, longitude, lines = (
-            column[::-1] for column in (time_s, latitude, longitude, lines)
-        )
-    fixes = _files.fixes(path, lines, time_s, latitude, longitude, tally=own)
+    fixes = _of_table(path, table, own, "line")
     own.count("fixes", len(fixes))
     if tally is None:
         own.warn(_logger)
     return fixes
+
+
+def read_fixes_json(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fixes:
+    """A log in JSON: of gpsd, of Signal K, GeoJSON with times, or an object a line.
+
+    Used are gpsd's ``TPV`` of mode 2 and 3; Signal K's ``navigation.position`` of the vessel
+    itself; the points of GeoJSON whose times stand in ``coordTimes``, or in ``time`` of a Point;
+    and objects whose names are those that columns of tables have. What is left out is what
+    `read_fixes_csv` leaves out. Of several receivers that ran at the same time that with most fixes
+    is used.
+
+    Args:
+        path: The file.
+        tally: Takes what was read, left out and assumed; None: what was left out is logged.
+
+    Raises:
+        InputError: It is JSON of another kind, or as `read_fixes_csv`.
+    """
+    own = tally if tally is not None else Tally(path)
+    table, row = read_json_log(path, own)
+    fixes = _of_table(path, table, own, row)
+    own.count("fixes", len(fixes))
+    if tally is None:
+        own.warn(_logger)
+    return fixes
+
+
+def _of_table(path: str | os.PathLike[str], table: LogTable, own: Tally, row: str) -> Fixes:
+    places = (table.latitude, table.longitude)
+    latitude, longitude, said = read_degrees(path, places, table.places, tally=own, row=row)
+    if said:
+        own.note(said)
+    if table.cut_short:
+        own.leave_out("cut short", len(table.cut_short), row=f"line {table.cut_short[0]}")
+    placed = np.isfinite(latitude) & np.isfinite(longitude)
+    if not placed.any():
+        raise InputError(
+            f"{path}: holds no fix" + (f"; left out: {own.reasons()}" if own.left_out else "")
+        )
+    when = table.time[placed]
+    title = str(table.time.name)
+    time_s = _log_rows.row_times(
+        path,
+        when.index,
+        when.tolist(),
+        own,
+        row=row,
+        title=title,
+        zone_told="utc" in plain(title),
+        day_first=table.day_first,
+    )
+    timed = np.isfinite(time_s)
+    when, time_s = when[timed], time_s[timed]
+    latitude, longitude, lines = (
+        latitude[placed][timed],
+        longitude[placed][timed],
+        when.index.to_numpy(),
+    )
+    _files.check_digits(path, lines, when.tolist(), time_s, latitude, longitude, row=row)
+    if newest_first(time_s):
+        own.note("its rows stand the newest first")
+        time_s, latitude, longitude, lines = (
+            column[::-1] for column in (time_s, latitude, longitude, lines)
+        )
+    return _log_rows.fixes(path, lines, time_s, latitude, longitude, row=row, tally=own)
+
+
+def newest_first(time_utc_s: FloatArray) -> bool:
+    """Whether the rows of a log stand the other way round, but for what is wrong."""
+    steps = np.diff(time_utc_s)
+    return time_utc_s.size > 2 and bool((steps < 0.0).sum() > 2 * (steps > 0.0).sum())
 
 
 def write_fixes_csv(fixes: Fixes, path: str | os.PathLike[str]) -> None:

@@ -118,8 +118,10 @@ def _row(path: str | os.PathLike[str], number: int, feature: Any) -> dict[str, A
             "latitude_deg": latitude,
         }
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        line = isinstance(feature, dict) and "LineString" in str(feature.get("geometry"))[:200]
+        hint = "; a LineString with coordTimes is read as a log, not as tracks" if line else ""
         raise InputError(
-            f"{path}, feature {number}: is no Point with the properties track_id and time"
+            f"{path}, feature {number}: is no Point with the properties track_id and time{hint}"
         ) from error
     for name, value in row.items():
         if isinstance(value, str):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -19,14 +21,19 @@ from gpxpy.gpxfield import gpx_fields_to_xml
 
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
 from sightline.formats._gpx_points import GpxLine, GpxPoint, read_gpx_points
+from sightline.formats._receivers import FIT_M, Source, apart_m
 from sightline.formats._times import NotUnderstoodError, read_times
-from sightline.synchronisation import mean_longitudes_deg
+from sightline.synchronisation import mean_longitudes_deg, repeated
 from sightline.tally import Tally
-from sightline.types import Fixes, FloatArray, Track
+from sightline.types import BoolArray, Fixes, FloatArray, IntArray, Track
 
 _logger = logging.getLogger(__name__)
+
+# No ship is longer, so that two receivers on board of one are not further apart.
+_SHIP_M = 500.0
+_FEWEST = 3
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="sightline" xmlns="http://www.topografix.com/GPX/1/1">
 """
@@ -38,16 +45,18 @@ def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fix
     GPX 1.0 and 1.1 are read, whatever prefixes or namespace their elements have; what stands in
     extensions, or in another namespace, is not the point's. Where there is no track, the points of
     routes and then the waypoints are its fixes, if they have times. Segments may stand in any
-    order. Times that repeat, as receivers write that log whole seconds, are kept; fixes that cannot
-    be true are not (`sightline.plausibility`).
+    order. Where tracks or segments are of the same times, the points of the longest are used there,
+    unless they lie on one line. Times that repeat, as receivers write that log whole seconds, are
+    kept; points without a time or a place, or with one that cannot be, are not, nor are fixes that
+    cannot be true (`sightline.plausibility`).
 
     Args:
         path: The file. A document type is refused, since entities in it can fill the memory.
         tally: Takes what was read, left out and assumed; None: what was left out is logged.
 
     Raises:
-        InputError: The file is no GPX or cut short, has no points, a point has no time, times
-            decrease within a segment, or a place is not on the earth.
+        InputError: The file is no GPX or cut short, has no points, half of them are of no use,
+            times decrease within a segment, or two tracks of the same times are far apart.
     """
     own = tally if tally is not None else Tally(path)
     own.format = "GPX"
@@ -87,7 +96,7 @@ def read_gpx_table(path: str | os.PathLike[str]) -> pd.DataFrame:
         lines = list(segments)
         track = lines[0].track
         points = [point for line in lines for point in line.points]
-        time_s, latitude, longitude = _columns(path, points, None)
+        time_s, latitude, longitude = _columns(path, points)
         rows = [point.row for point in points]
         _files.check_places(path, rows, latitude, longitude, row="point")
         _files.check_order(path, rows, time_s, row="point")
@@ -167,42 +176,109 @@ def _fixes(
     path: str | os.PathLike[str], lines: Sequence[GpxLine], name: str, tally: Tally
 ) -> Fixes:
     points = [point for line in lines for point in line.points]
-    time_s, latitude, longitude = _columns(path, points, tally)
+    _check_timed(path, points)
     rows = np.array([point.row for point in points])
+    texts = [point.time for point in points]
+    time_s = _log_rows.row_times(path, rows, texts, tally, row="point")
+    places = _places(path, points, tally)
+    known = np.flatnonzero(np.isfinite(time_s) & np.isfinite(places).all(axis=1))
+    rows, time_s = rows[known], time_s[known]
+    latitude, longitude = places[known].T
+    segment = np.repeat(np.arange(len(lines)), [len(line.points) for line in lines])[known]
+    placed = _log_rows.on_the_earth(latitude, longitude)
+    looked_at = placed & ~repeated(time_s, latitude, longitude)
+    kept = np.ones(known.size, dtype=bool)
+    begins = np.searchsorted(segment, np.arange(len(lines) + 1))
+    for begin, end in itertools.pairwise(begins.tolist()):
+        own = begin + np.flatnonzero(looked_at[begin:end])
+        kept[own] = _log_rows.timely(path, rows[own], time_s[own], tally, row="point")
+    found = Source(time_s, latitude, longitude)
+    used = np.flatnonzero(kept & placed)
+    kept[used] = _of_one_track(path, lines, segment[used], rows[used], found[used], tally)
     # Programs write the newest track first, or the segments of a pause behind each other.
-    begins = np.cumsum([0, *(len(line.points) for line in lines if line.points)])
-    segments = np.split(np.arange(rows.size), begins[1:-1])
-    order = np.concatenate(sorted(segments, key=lambda segment: float(time_s[segment[0]])))
-    known = order[np.isfinite(latitude[order]) & np.isfinite(longitude[order])]
-    if known.size < rows.size:
-        first = rows[np.setdiff1d(order, known)[0]]
-        tally.leave_out("without a place", rows.size - known.size, row=f"point {first}")
-    texts = [points[i].time for i in known]
-    places = latitude[known], longitude[known]
-    _files.check_digits(path, rows[known], texts, time_s[known], *places, row="point")
-    return _files.fixes(
-        path,
-        rows[known],
-        time_s[known],
-        *places,
-        name=name,
-        row="point",
-        tally=tally,
+    order = np.flatnonzero(kept)
+    order = order[np.argsort(time_s[order], kind="stable")]
+    columns = rows[order], time_s[order], latitude[order], longitude[order]
+    texts = [texts[known[i]] for i in order]
+    _files.check_digits(path, columns[0], texts, *columns[1:], row="point")
+    return _log_rows.fixes(path, *columns, name=name, row="point", tally=tally)
+
+
+def _of_one_track(
+    path: str | os.PathLike[str],
+    lines: Sequence[GpxLine],
+    segment: IntArray,
+    rows: IntArray,
+    points: Source,
+    tally: Tally,
+) -> BoolArray:
+    """(N,) bool, which points are used where segments overlap: those of the longest track.
+
+    Args:
+        path: The file.
+        lines: Segments.
+        segment: (N,) which of them a point is in.
+        rows: (N,) numbers of the points.
+        points: N of them.
+        tally: Takes what is left out.
+
+    Raises:
+        InputError: Two tracks are of the same times and far apart.
+    """
+    kept = np.ones(len(points), dtype=bool)
+    begins = np.flatnonzero(np.diff(segment, prepend=-1))
+    if begins.size < 2:
+        return kept
+    ends = np.append(begins[1:], len(points)) - 1
+    order = np.argsort(points.time_utc_s[begins], kind="stable")
+    if (points.time_utc_s[ends][order][:-1] <= points.time_utc_s[begins][order][1:]).all():
+        return kept
+    lengths = Counter(id(lines[i].track) for i in segment)
+    ranked = sorted(
+        range(len(lines)), key=lambda i: (-lengths[id(lines[i].track)], -len(lines[i].points))
     )
+    used: Source | None = None
+    for i in ranked:
+        own = np.flatnonzero(segment == i)
+        own = own[np.argsort(points.time_utc_s[own], kind="stable")]
+        if not own.size:
+            continue
+        if used is not None:
+            within = own[used.covers(points.time_utc_s[own])]
+            apart = float(np.median(apart_m(used, points[within]))) if within.size else 0.0
+            if apart > _SHIP_M and within.size >= _FEWEST:
+                name = _files.shortened(lines[i].track.name) or f"of point {rows[within[0]]}"
+                raise InputError(
+                    f"{path}: its track {name} is of the same times as another and {apart:,.0f} m "
+                    "from it, as of another vessel; leave the one that is meant in the file"
+                )
+            if apart > FIT_M:
+                kept[within] = False
+                row = f"point {rows[within].min()}"
+                tally.leave_out(
+                    "of a track of the same times as a longer one", within.size, row=row
+                )
+                own = own[kept[own]]
+        used = points[own] if used is None else used.with_fixes_of(points[own])
+    return kept
 
 
-def _columns(
-    path: str | os.PathLike[str], points: Sequence[GpxPoint], tally: Tally | None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times and places of points."""
+def _check_timed(path: str | os.PathLike[str], points: Sequence[GpxPoint]) -> None:
     if not points:
         raise InputError(f"{path}: has no track points")
-    untimed = [point.row for point in points if not point.time]
-    if len(untimed) == len(points):
+    if not any(point.time for point in points):
         raise InputError(
             f"{path}: none of its {len(points)} points has a time; a log without times cannot be "
             "matched with a video (was it exported as a route?)"
         )
+
+
+def _columns(
+    path: str | os.PathLike[str], points: Sequence[GpxPoint]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times and places of points, all of which must have them."""
+    _check_timed(path, points)
+    untimed = [point.row for point in points if not point.time]
     if untimed:
         raise InputError(f"{path}, point {untimed[0]}: has no time")
     try:
@@ -212,24 +288,44 @@ def _columns(
         raise InputError(
             f"{path}, point {point.row}: {_files.shortened(point.time)} {error.why}"
         ) from error
-    if tally is not None:
-        for sentence in read.assumed:
-            tally.note(sentence)
-        if read.zoneless:
-            tally.note("its times name no zone and are taken for UTC")
-    places = np.array([[_degrees(path, point, axis) for axis in (0, 1)] for point in points])
+    places = np.array([[_degrees(point, axis) for axis in (0, 1)] for point in points])
+    if np.isinf(places).any():
+        raise _unread(path, points, places)
     return read.time_utc_s, places[:, 0], places[:, 1]
 
 
-def _degrees(path: str | os.PathLike[str], point: GpxPoint, axis: int) -> float:
+def _places(path: str | os.PathLike[str], points: Sequence[GpxPoint], tally: Tally) -> FloatArray:
+    """(N, 2) latitude and longitude, not finite where there is none to be read."""
+    places = np.array([[_degrees(point, axis) for axis in (0, 1)] for point in points])
+    places[[not (point.latitude and point.longitude) for point in points]] = np.nan
+    unread = np.isinf(places).any(axis=1)
+    missing = ~unread & np.isnan(places).any(axis=1)
+    if unread.any() and 2 * unread.sum() >= (~missing).sum():
+        raise _unread(path, points, places)
+    for which, reason in ((unread, _log_rows.UNREAD_PLACE), (missing, _log_rows.NO_PLACE)):
+        if which.any():
+            first = points[int(np.argmax(which))]
+            text = f"{first.latitude}, {first.longitude}"
+            tally.leave_out(reason, int(which.sum()), row=f"point {first.row}", text=text)
+    return places
+
+
+def _unread(
+    path: str | os.PathLike[str], points: Sequence[GpxPoint], places: FloatArray
+) -> InputError:
+    i, axis = np.argwhere(np.isinf(places))[0]
+    point = points[i]
+    text = (point.latitude, point.longitude)[axis]
+    return InputError(
+        f"{path}, point {point.row}: {_files.shortened(text) or 'nothing'} is no number "
+        f"({('lat', 'lon')[axis]})"
+    )
+
+
+def _degrees(point: GpxPoint, axis: int) -> float:
+    """Degrees, infinite where there is no number."""
     text = (point.latitude, point.longitude)[axis]
     try:
-        value = float(text.replace(",", "."))
+        return float(text.replace(",", "."))
     except ValueError:
-        value = float("inf")
-    if np.isinf(value):
-        raise InputError(
-            f"{path}, point {point.row}: {_files.shortened(text) or 'nothing'} is no number "
-            f"({('lat', 'lon')[axis]})"
-        )
-    return value
+        return float("inf")

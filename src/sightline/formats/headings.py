@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
 from sightline.formats._log_table import is_log_table, plain, read_log_table
 from sightline.formats._sentences import ReceptionClock, Sentence, SentenceReader
+from sightline.formats.fixes_csv import newest_first
 from sightline.formats.nmea import TIMED_KINDS, read_timed
 from sightline.synchronisation import LARGEST_GAP_S, spread_times
 from sightline.tally import Tally
@@ -62,7 +63,9 @@ def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -
         InputError: A cell is no number, or the times of the headings do not increase.
     """
     own = Tally(path) if tally is None else tally
-    found = _in_table(path) if is_log_table(_files.beginning(path)) else _in_sentences(path, own)
+    found = (
+        _in_table(path, own) if is_log_table(_files.beginning(path)) else _in_sentences(path, own)
+    )
     if found is not None:
         own.count("headings", len(found))
     if tally is None:
@@ -70,17 +73,38 @@ def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -
     return found
 
 
-def _in_table(path: str | os.PathLike[str]) -> Headings | None:
+def _in_table(path: str | os.PathLike[str], tally: Tally) -> Headings | None:
     table = read_log_table(path, heading=True)
     if table.heading is None:
         return None
     given = table.heading[~table.heading.str.lower().isin(_EMPTY)]
-    when = table.time[given.index].replace("", None)
-    utc = "utc" in plain(str(table.time.name))
-    times = _files.times(path, when, dated=True, zone_told=utc)
-    if (np.diff(times) >= 0.0).all():
-        times = spread_times(times)
-    return _headings(path, times, _files.numbers(path, given))
+    values = _files.floats(given)
+    if 2 * np.isnan(values).sum() >= values.size > 0:
+        _files.numbers(path, given)
+    unread = ~np.isfinite(values)
+    if unread.any():
+        i = int(np.argmax(unread))
+        row, text = f"line {given.index[i]}", str(given.iloc[i])
+        tally.leave_out("with a heading that is no number", int(unread.sum()), row=row, text=text)
+    title, when = str(table.time.name), table.time[given.index[~unread]]
+    # What is wrong with times is said of the fixes.
+    unsaid = Tally(path)
+    zone_told = "utc" in plain(title)
+    times = _log_rows.row_times(
+        path,
+        when.index,
+        when.tolist(),
+        unsaid,
+        title=title,
+        zone_told=zone_told,
+        day_first=table.day_first,
+    )
+    timed = np.isfinite(times)
+    lines, times, values = when.index.to_numpy()[timed], times[timed], values[~unread][timed]
+    if newest_first(times):
+        lines, times, values = lines[::-1], times[::-1], values[::-1]
+    kept = _log_rows.timely(path, lines, times, unsaid)
+    return _headings(path, spread_times(times[kept]), values[kept])
 
 
 def _in_sentences(path: str | os.PathLike[str], tally: Tally) -> Headings | None:

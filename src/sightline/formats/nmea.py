@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from array import array
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time
@@ -12,7 +13,8 @@ import numpy as np
 import pynmea2
 
 from sightline.errors import InputError
-from sightline.formats import _files
+from sightline.formats import _files, _log_rows
+from sightline.formats._receivers import Source, runs_beside
 from sightline.formats._sentences import (
     DAY_S,
     FIRST_TIME_S,
@@ -40,7 +42,8 @@ _UNDATED, _DATE_WITHOUT_FIX, _DATE_OF_CLOCK, _DATE_OF_FIX = range(4)
 _ROLLOVER_S = 1024 * 7 * DAY_S
 # Nobody films for long with what has a date of so long ago.
 _OLD_S = datetime(2010, 1, 1, tzinfo=UTC).timestamp()
-_SAME_EPOCHS = 0.1
+_OUT_OF_ORDER = 0.1
+_TAG_SOURCE = re.compile(r"(?:^|,)s:([^,*]{1,60})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +54,7 @@ class TimedSentences:
         order: (N,) int64, their places in the log; see `Sentence.order`.
         line: (N,) int64, from 1.
         kind: (N,) int64, place in `TIMED_KINDS`.
-        talker: (N,) str.
+        receiver: (N,) str, the talker, and its source where a TAG block names it.
         time_utc_s: (N,) float64; NaN where nothing gives the date.
         received_s: (N,) float64, when the logger received them; NaN where unknown.
         latitude_deg: (N,) float64; NaN without a place.
@@ -62,7 +65,7 @@ class TimedSentences:
     order: IntArray
     line: IntArray
     kind: IntArray
-    talker: np.ndarray
+    receiver: np.ndarray
     time_utc_s: FloatArray
     received_s: FloatArray
     latitude_deg: FloatArray
@@ -73,7 +76,7 @@ class TimedSentences:
         """The kind of sentence to be used, and the rows (N,) of that kind and of one receiver.
 
         Talkers of one kind are one receiver where they take turns (``GP``, ``GL``, ``GA``), and
-        several where they speak of the same times.
+        several where they speak of the same times, or of times between those of another.
         """
         best, best_rows, most = 0, np.zeros(self.line.size, dtype=bool), -1
         for kind in range(len(FIX_KINDS)):
@@ -85,20 +88,31 @@ class TimedSentences:
         return best, best_rows
 
     def _receiver(self, rows: BoolArray) -> BoolArray:
+        """Of the rows of a kind those of the receiver that has most fixes."""
         fixes: BoolArray = rows & (self.quality > _NONE)
-        talkers, counts = np.unique(self.talker[fixes], return_counts=True)
-        if talkers.size < 2:
+        measured: BoolArray = rows & (self.quality == _MEASURED)
+        if measured.any():
+            fixes = measured
+        names, counts = np.unique(self.receiver[fixes], return_counts=True)
+        if names.size < 2:
             return rows
-        talkers = talkers[np.argsort(-counts, kind="stable")]
-        kept: BoolArray = rows & (self.talker == talkers[0])
-        for talker in talkers[1:]:
-            more = rows & (self.talker == talker)
-            own = self.time_utc_s[more & fixes]
-            both = self.time_utc_s[(kept | more) & fixes]
-            shared = np.isin(own, self.time_utc_s[kept & fixes]).mean()
-            if shared <= _SAME_EPOCHS and (np.diff(both) >= 0.0).all():
+        names = names[np.argsort(-counts, kind="stable")]
+        kept: BoolArray = rows & (self.receiver == names[0])
+        # The others are held against it alone: a line of several has more fixes than theirs.
+        line = self._source(kept & fixes)
+        for name in names[1:]:
+            more = rows & (self.receiver == name)
+            both_s = self.time_utc_s[(kept | more) & fixes]
+            backwards = (np.diff(both_s) < 0.0).mean() > _OUT_OF_ORDER
+            own = self._source(more & fixes)
+            if not backwards and not runs_beside(line, own, same_times_are_two=True):
                 kept |= more
         return kept
+
+    def _source(self, rows: BoolArray) -> Source:
+        return Source(
+            self.time_utc_s[rows], self.latitude_deg[rows], self.longitude_deg[rows]
+        ).sorted_by_time()
 
 
 @dataclass
@@ -106,7 +120,7 @@ class _Columns:
     order: array[int] = field(default_factory=lambda: array("q"))
     line: array[int] = field(default_factory=lambda: array("q"))
     kind: array[int] = field(default_factory=lambda: array("b"))
-    talker: list[str] = field(default_factory=list)
+    receiver: list[str] = field(default_factory=list)
     of_day_s: array[float] = field(default_factory=lambda: array("d"))
     midnight_s: array[float] = field(default_factory=lambda: array("d"))
     trust: array[int] = field(default_factory=lambda: array("b"))
@@ -123,7 +137,8 @@ def read_nmea(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fi
     nearest to them, over midnight as well; where there is none, from the times at which the logger
     received them, if these stand in a TAG block or beside the sentences. ZDA is UTC, whatever zone
     it names. Where a log has several kinds, that with most fixes is used, so that no fix counts
-    twice, and of receivers that speak of the same times that with most.
+    twice, and of receivers that ran at the same time (talkers, or sources that a TAG block names)
+    that with most.
 
     Left out and counted are sentences with a wrong checksum, without one in a log that has them,
     without a fix, or with a place or time that cannot be read. Anything may stand around a
@@ -142,9 +157,11 @@ def read_nmea(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fi
     kind, rows = log.stream()
     name = FIX_KINDS[kind]
     others = (log.kind == kind) & ~rows & (log.quality > _NONE) & np.isfinite(log.time_utc_s)
-    for talker in np.unique(log.talker[others]).tolist():
-        number = int((others & (log.talker == talker)).sum())
-        own.leave_out(f"{name} of another receiver ({talker})", number)
+    for receiver in np.unique(log.receiver[others]).tolist():
+        which = others & (log.receiver == receiver)
+        shown = _files.shortened(receiver)
+        row = f"line {log.line[int(np.argmax(which))]}"
+        own.leave_out(f"{name} of another receiver ({shown})", int(which.sum()), row=row)
     fixes = rows & (log.quality == _MEASURED)
     estimated = rows & (log.quality == _ESTIMATED)
     if fixes.any():
@@ -159,7 +176,7 @@ def read_nmea(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fi
         own.note("none of its fixes is measured; all are estimated, entered or simulated")
     if not fixes.any():
         raise InputError(f"{path}: {_why_none(log, own)}")
-    found = _files.fixes(
+    found = _log_rows.fixes(
         path,
         log.line[fixes],
         log.time_utc_s[fixes],
@@ -192,7 +209,7 @@ def read_timed(path: str | os.PathLike[str], tally: Tally) -> TimedSentences:
         order=np.array(columns.order, dtype=np.int64),
         line=np.array(columns.line, dtype=np.int64),
         kind=np.array(columns.kind, dtype=np.int64),
-        talker=np.array(columns.talker, dtype=np.str_),
+        receiver=np.array(columns.receiver, dtype=np.str_),
         time_utc_s=_dated(columns, tally),
         received_s=np.array(columns.received_s, dtype=np.float64),
         latitude_deg=np.array(columns.latitude_deg, dtype=np.float64),
@@ -254,7 +271,8 @@ def _add(columns: _Columns, sentence: Sentence, received_s: float) -> str:
     columns.order.append(sentence.order)
     columns.line.append(sentence.line)
     columns.kind.append(TIMED_KINDS.index(kind))
-    columns.talker.append(sentence.talker)
+    source = _TAG_SOURCE.search(sentence.tag)
+    columns.receiver.append(sentence.talker + (f", {source[1]}" if source else ""))
     columns.of_day_s.append(since_midnight_s)
     columns.midnight_s.append(float("nan") if day_s is None else day_s)
     columns.trust.append(_trust(kind, quality, day_s))

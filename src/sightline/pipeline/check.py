@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline import formats
 from sightline.clock import Clock
+from sightline.clock_offset import LARGEST_OFFSET_S, USUAL_SIGMA_S, ClockOffset
 from sightline.errors import SightlineError
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.georeferencer import load_model
@@ -34,7 +35,7 @@ from sightline.pipeline.file_checks import (
 )
 from sightline.pipeline.file_kinds import kind_of
 from sightline.scene import Recording, Scene, named_files
-from sightline.scene.correspondences import collect
+from sightline.scene.correspondences import collect, settled
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.types import FloatArray
@@ -43,6 +44,8 @@ _FEW_BOXES = 20
 _SMALL_WIDTH, _SMALL_HEIGHT = 0.25, 0.05
 _LEAST_OVERLAP = 0.5
 _MOST_LINES = 20
+_MUCH = 0.1
+"""A clock that covers so much more of a recording is worth a word."""
 
 
 @dataclass(eq=False)
@@ -57,6 +60,8 @@ class RecordingCheck:
             a log or times.
         placed: How many of its boxes have a place in the log; None where no boxes are drawn.
         range_m: Nearest and farthest of those places from the camera; None where it is not known.
+        stated_s: How far its clock is stated to be ahead of the log's.
+        clock: How far ahead it is by its boxes and its log; None where a run takes nothing off.
     """
 
     name: str
@@ -65,6 +70,8 @@ class RecordingCheck:
     overlap: float = float("nan")
     placed: int | None = None
     range_m: tuple[float, float] | None = None
+    stated_s: float = 0.0
+    clock: ClockOffset | None = None
 
     def of(self, *kinds: str) -> FileCheck | None:
         """Its first file of these kinds."""
@@ -72,11 +79,16 @@ class RecordingCheck:
 
     @property
     def time_utc_s(self) -> FloatArray | None:
-        """Times of its boxes, or else of its frames; None where nothing tells them."""
+        """Times of its boxes, or else of its frames; None where nothing tells them.
+
+        What its clock is stated to be ahead is taken off.
+        """
         for kind in ("boxes", "detections", "video", "pictures", "clock"):
             one = self.of(kind)
             if one is not None and one.time_utc_s is not None:
-                return one.time_utc_s
+                # Tables of boxes are read as a run reads them.
+                in_log_time = kind in ("boxes", "detections")
+                return one.time_utc_s if in_log_time else one.time_utc_s - self.stated_s
         return None
 
 
@@ -119,8 +131,12 @@ class CheckReport:
         except SightlineError as error:
             self.problems.append(str(error))
 
-    def lines(self) -> list[str]:
-        """All that was found, as people read it: about twenty lines."""
+    def lines(self, problems_from: int = 0) -> list[str]:
+        """All that was found, as people read it: about twenty lines.
+
+        Args:
+            problems_from: The first of the problems that is among them.
+        """
         body = [self.head] if self.head else []
         recordings = [f"recording {one.name}: {one.said}" for one in self.recordings]
         files = [
@@ -137,7 +153,7 @@ class CheckReport:
                 body.append(f"left out of {one.path}: {one.tally.reasons()}")
             body += [f"note: {one.path}: {sentence}" for sentence in one.tally.notes]
         body += [f"warning: {line}" for line in self.warnings]
-        return [*body, *(f"problem: {line}" for line in self.problems)]
+        return [*body, *(f"problem: {line}" for line in self.problems[problems_from:])]
 
     def to_dict(self) -> dict[str, object]:
         """As JSON has it; times are POSIX seconds."""
@@ -153,6 +169,7 @@ class CheckReport:
                     "overlap": None if np.isnan(one.overlap) else one.overlap,
                     "placed": one.placed,
                     "range_m": one.range_m,
+                    "clock_ahead_s": None if one.clock is None else one.clock.offset_s,
                 }
                 for one in self.recordings
             ],
@@ -226,14 +243,15 @@ def check_scene(scene: Scene, *, every_picture: bool = True) -> CheckReport:
         return kept[key]
 
     for recording in scene.recordings:
-        one = RecordingCheck(recording.name)
+        one = RecordingCheck(recording.name, stated_s=recording.clock_offset_s)
         _check_pictures(scene, recording, one, once, every_picture)
         _check_tables(recording, one, once, size_px)
         _check_logs(scene, recording, one, once)
         report.recordings.append(one)
     _check_times(scene, report)
-    _check_overlaps(scene, report)
-    _check_learning(scene, report)
+    told = _with_clocks(scene, report)
+    _check_overlaps(told, report)
+    _check_learning(told, report)
     report.head = _head(scene, size_px)
     for one in report.recordings:
         one.said = _recording_text(one)
@@ -369,23 +387,40 @@ def _check_times(scene: Scene, report: CheckReport) -> None:
             report.warnings.append(line)
 
 
+def _with_clocks(scene: Scene, report: CheckReport) -> Scene:
+    """The scene with the clocks that drawn boxes tell; as it is where a run is refused before."""
+    if report.problems or any(file.problems for file in report.files):
+        return scene
+    try:
+        return settled(scene)
+    except SightlineError:
+        # What it is stands among the problems, once the pairs are looked for.
+        return scene
+
+
 def _check_overlaps(scene: Scene, report: CheckReport) -> None:
-    """Whether each log is of the time of its recording; a run needs one that is."""
+    """Whether each log is of the time of its recording; a run needs one that is.
+
+    By the clock that a run would take for right.
+    """
     apart: list[str] = []
     together = 0
     for recording, one in zip(scene.recordings, report.recordings, strict=True):
         log, times = one.of("log", "AIS feed"), one.time_utc_s
         if log is None or log.time_utc_s is None or times is None:
             continue
-        one.overlap = covered_share(times, log.time_utc_s)
+        moved_s = recording.clock_offset_s - one.stated_s
+        if moved_s:
+            one.clock = recording.clock_found
+        one.overlap = covered_share(times - moved_s, log.time_utc_s)
         if overlap_share(times, log.time_utc_s) == 0.0:
             line = f"recording {recording.name}: {apart_text(times, log.time_utc_s)}"
-            if hours_apart(times, log.time_utc_s) is None:
-                apart.append(line)
-            else:
-                # A fit tries the clocks of other zones.
-                report.warnings.append(f"{line} A run tries that clock, and says so")
+            mended = _mended(recording, one, log.time_utc_s)
+            if mended:
+                report.warnings.append(f"{line}{mended}")
                 together += 1
+            else:
+                apart.append(line)
             continue
         together += 1
         if one.overlap < _LEAST_OVERLAP:
@@ -393,11 +428,38 @@ def _check_overlaps(scene: Scene, report: CheckReport) -> None:
             report.warnings.append(
                 f"recording {recording.name}: its log has fixes at most {LARGEST_GAP_S:g} s apart "
                 f"for {share} of it; elsewhere places are less certain, or there are none"
+                f"{_mended(recording, one, log.time_utc_s)}"
             )
     if apart and not together and not len(scene.control_points):
         report.problems += apart
     else:
         report.warnings += apart
+
+
+def _mended(recording: Recording, one: RecordingCheck, log_utc_s: FloatArray) -> str:
+    """What another clock makes of a recording that its log hardly covers; empty where nothing."""
+    times = one.time_utc_s
+    assert times is not None, "the caller has looked"
+    if one.clock is not None:
+        return f"; its clock is {one.clock.words} by its boxes, which is taken off"
+    if overlap_share(times, log_utc_s) == 0.0 and hours_apart(times, log_utc_s) is not None:
+        # A fit tries the clocks of other zones.
+        return " A run tries that clock, and says so"
+    found, drawn = recording.clock_found, recording.boxes_path is not None
+    sure = found is not None and found.sigma_s < USUAL_SIGMA_S
+    if recording.clock_prior.stated or sure or (drawn and one.overlap == 0.0):
+        return ""
+    tried_s = sorted(np.arange(-LARGEST_OFFSET_S, LARGEST_OFFSET_S + 1.0).tolist(), key=abs)
+    shares = [covered_share(times - ahead_s, log_utc_s) for ahead_s in tried_s]
+    best = int(np.argmax(shares))
+    if shares[best] < one.overlap + _MUCH:
+        return ""
+    side = "ahead of" if tried_s[best] > 0.0 else "behind"
+    does = "give clock_offset_s if it is" if drawn else "a run looks whether it is"
+    return (
+        f"; were its clock {abs(tried_s[best]):.0f} s {side} the log's, there would be for "
+        f"{100.0 * shares[best]:.0f} %: {does}"
+    )
 
 
 def _check_learning(scene: Scene, report: CheckReport) -> None:
@@ -480,6 +542,8 @@ def _recording_text(one: RecordingCheck) -> str:
     log = one.of("log", "AIS feed")
     if log is not None and np.isfinite(one.overlap):
         parts.append(f"{log.path.name} has near fixes for {100.0 * one.overlap:.0f} % of it")
+    if one.clock is not None:
+        parts.append(f"its clock is {one.clock.words}, which is taken off")
     if one.placed is not None:
         away = ""
         if one.range_m is not None:

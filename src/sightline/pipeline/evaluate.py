@@ -38,7 +38,7 @@ from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
-from sightline.types import Boxes, Fixes, FloatArray, LocatedBoxes, Positions, Track
+from sightline.types import Boxes, Fixes, LocatedBoxes, Track
 
 
 def evaluate(
@@ -96,11 +96,6 @@ def evaluate(
     return report
 
 
-_ON_BOARD = 2.5
-"""How much less sure a clock is that boxes from on board tell: swell, heading and the own log err
-for seconds, and for all boxes alike."""
-
-
 @dataclass(frozen=True, eq=False)
 class LocatedRecording:
     """The located boxes of the target in one recording, with its log.
@@ -153,10 +148,10 @@ class LocatedRecording:
 def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list[LocatedRecording]:
     """Locate the boxes of all recordings that have boxes and a log, each with its model.
 
-    The clock of each is estimated from its boxes and its log, with the model held (of a model
-    without a camera: by a camera that is fitted to the boxes). Where it is off for sure, or
-    somebody stated it, the boxes' times are corrected; a clock that may be right is not fitted to
-    the log that is to score it.
+    The clock of each is estimated from its boxes and its log, with the model held; of a model
+    without a camera, and on board, by a camera that is fitted to the boxes. Where it is off for
+    sure, or somebody stated it, the boxes' times are corrected; a clock that may be right is not
+    fitted to the log that is to score it.
 
     Args:
         scene: The scene.
@@ -174,10 +169,12 @@ def place_boxes(scene: Scene, model_for: Callable[[str], Georeferencer]) -> list
         check_platform(model, platform, f"recording {recording.name}: ")
         pictures = scene.camera.compensate_rotation
         boxes = _placed(recording, model, pictures)
-        if model.regressor.camera_fit is not None:
+        if model.regressor.camera_fit is not None and platform is None:
             clock = clock_of(recording, boxes, model)
         else:
-            # Such models do not say how far off they may be, and a clock would make up for it.
+            # Models without a camera do not say how far off they may be, nor does one from on board
+            # say how far the compass and the vessel's log are just then: a clock would make up for
+            # it. A camera that is fitted to these very boxes does.
             by_camera = by_camera or settled(scene)
             clock = by_camera[recording.name].clock_found
         if clock is not None and clock.used_s != recording.clock_offset_s:
@@ -202,29 +199,20 @@ def clock_of(recording: Recording, boxes: LocatedBoxes, model: Georeferencer) ->
     """The clock offset of a recording, by its located boxes and its log.
 
     Args:
-        recording: With a log.
+        recording: With a log, of a camera that stands still.
         boxes: Of the logged target, at the recording's times.
         model: That located them.
 
     Returns:
         None where too few boxes meet the log.
     """
-    platform = recording.platform()
-
-    def positions_at(times: FloatArray) -> Positions:
-        moved = boxes.boxes.with_columns(time_utc_s=times)
-        return positions_on_earth(LocatedBoxes.at(moved, boxes.positions), platform)
-
-    found = match_clock(
+    return match_clock(
         boxes.time_utc_s + recording.clock_offset_s,
-        positions_at,
+        positions_on_earth(boxes),
         recording.fixes(),
         prior=recording.clock_prior,
         reference_sigma_m=model.reference_sigma_m,
     )
-    if found is None or platform is None:
-        return found
-    return replace(found, sigma_s=_ON_BOARD * found.sigma_s)
 
 
 def clock_notes(clocks: Mapping[str, ClockOffset | None]) -> tuple[str, ...]:
@@ -347,8 +335,28 @@ def left_out_inputs(
     Raises:
         FitError: See `leave_one_out`.
     """
-    names = recordings_with_correspondences(scene, collect(scene, extra=extra, pictures=False))
-    return {name: collect(scene.without([name]), extra=extra, pictures=pictures) for name in names}
+    asked = [r.name for r in scene.recordings if r.boxes_path and r.fixes_path]
+    try:
+        inputs = {
+            name: collect(scene.without([name]), extra=extra, pictures=pictures) for name in asked
+        }
+        held = {name for one in inputs.values() for name in _recordings(one)}
+    except (FitError, InputError):
+        # Nothing is left without one of those that are asked, or one alone teaches.
+        inputs, held = {}, set()
+    if len(held) < 2:
+        whole = collect(scene, extra=extra, pictures=False)
+        held = set(recordings_with_correspondences(scene, whole))
+        inputs = {
+            name: collect(scene.without([name]), extra=extra, pictures=pictures)
+            for name in asked
+            if name in held
+        }
+    return {name: own for name, own in inputs.items() if name in held}
+
+
+def _recordings(inputs: FitInputs) -> set[str]:
+    return set(inputs.correspondences.recording.tolist())
 
 
 def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str]:
@@ -361,7 +369,7 @@ def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str
     Raises:
         FitError: Fewer than two recordings have boxes and fixes at the same times.
     """
-    held = set(inputs.correspondences.recording.tolist())
+    held = _recordings(inputs)
     names = [recording.name for recording in scene.recordings if recording.name in held]
     if len(names) < 2:
         raise FitError(

@@ -272,7 +272,11 @@ def check_boxes(path: Path, kind: str, size_px: tuple[int, int] | None) -> FileC
     with check.refusing():
         source = path.stem if kind == "detections" else None
         boxes = formats.read_boxes(
-            path, source=source, skip_empty=kind == "detections", tally=check.tally
+            path,
+            source=source,
+            skip_empty=kind == "detections",
+            image_size_px=size_px,
+            tally=check.tally,
         )
         describe_boxes(check, boxes, size_px)
     return check

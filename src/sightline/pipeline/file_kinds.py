@@ -6,6 +6,7 @@ import codecs
 import re
 from pathlib import Path
 
+from sightline import formats
 from sightline.errors import InputError
 
 _SUFFIXES = {
@@ -53,7 +54,7 @@ def kind_of(path: Path) -> str:
     text = _text(head)
     if text is None:
         return "video"
-    if _SENTENCE.search(text) or text.startswith("<"):
+    if _SENTENCE.search(text) or text.startswith(("<", "{", "[")):
         return "log"
     if suffix not in _TABLE_SUFFIXES:
         # Streams of pictures may begin without a zero, but not with letters alone.
@@ -82,5 +83,7 @@ def _kind_of_table(text: str) -> str:
     for told, kind in _TABLES:
         if told <= names:
             return kind
+    if formats.is_log_table(text):
+        return "log"
     place = any(name.startswith(("lat", "position_lat")) for name in names)
     return "log" if place else "boxes"

@@ -12,7 +12,7 @@ from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import FitError
 from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
-from sightline.georeferencing.fit import FitSettings
+from sightline.georeferencing.fit import FitInputs, FitSettings
 from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
@@ -123,8 +123,14 @@ def run(
     tell("fitting", float("nan"))
     by_camera, scene = scene, settled(scene) if _drawn(scene) else scene
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
-    fitted = fit_scene(scene, model, seed=seed, extra=extra, seen=seen, progress=tell)
-    models, failed = _leave_each_out(scene, model, seed, extra, seen, tell)
+    kind = model_type(model)
+    inputs: FitInputs | None = None
+    if _drawn(scene):
+        inputs = collect(scene, extra=extra, pictures=_asks_pictures(kind), progress=tell)
+        fitted = fit_inputs(inputs, FitSettings(model=kind, seed=seed))
+    else:
+        fitted = fit_scene(scene, kind, seed=seed, extra=extra, seen=seen, progress=tell)
+    models, failed = _leave_each_out(scene, inputs, kind, seed, extra, seen, tell)
     placed: list[LocatedRecording] = []
     if _drawn(scene):
         # A model that never saw a recording knows nothing of its clock.
@@ -291,37 +297,49 @@ def _drawn(scene: Scene) -> bool:
     return any(r.boxes_path and r.fixes_path for r in scene.recordings)
 
 
+def _asks_pictures(kind: ModelType) -> bool:
+    """Whether a model asks the pictures if the camera was turned."""
+    return kind.name not in PAPER_MODELS
+
+
 def _leave_each_out(
     scene: Scene,
-    model: str | ModelType,
+    inputs: FitInputs | None,
+    kind: ModelType,
     seed: int,
     extra: Mapping[str, Boxes],
     seen: SceneDetections,
     tell: Progress,
 ) -> tuple[dict[str, Georeferencer], FitError | None]:
-    """Leave-one-out model of each recording that teaches, and why the first has none."""
-    drawn = _drawn(scene)
+    """Leave-one-out model of each recording that teaches, and why the first has none.
+
+    Args:
+        scene: The scene.
+        inputs: Collected from all of it, where boxes are drawn.
+        kind: Of the models.
+        seed: Of whatever is random in the fits.
+        extra: Further boxes of the logged target, by recording.
+        seen: What a detector found.
+        tell: Told how far it is.
+    """
     models: dict[str, Georeferencer] = {}
     failed: FitError | None = None
     names = [r.name for r in scene.recordings if r.fixes_path is not None]
-    if drawn:
-        kind = model_type(model)
-        pictures = kind.name not in PAPER_MODELS
-        settings = FitSettings(model=kind, seed=seed)
+    if inputs is not None:
         try:
-            every = collect(scene, extra=extra, pictures=False)
-            names = recordings_with_correspondences(scene, every)
+            names = recordings_with_correspondences(scene, inputs)
         except FitError as error:
             return models, error
     for i, name in enumerate(names):
         tell(f"fitting without {name}", i / len(names))
         try:
-            if drawn:
-                # Anew: the clocks of the others are told without it.
-                others = collect(scene.without([name]), extra=extra, pictures=pictures)
-                models[name] = fit_inputs(others, settings)
+            if inputs is not None:
+                # Clocks stay as all recordings have told them together, if each was told.
+                rest = scene.without([name])
+                others = collect(rest, extra=extra, pictures=_asks_pictures(kind))
+                models[name] = fit_inputs(others, FitSettings(model=kind, seed=seed))
             else:
-                models[name] = fit_scene(scene.without([name]), model, seed=seed, seen=seen)
+                models[name] = fit_scene(scene.without([name]), kind, seed=seed, seen=seen)
         except FitError as error:
             failed = failed or error
     return models, failed

@@ -282,7 +282,10 @@ def iter_tracks(
     if late_s:
         observed = (_in_log_time(boxes, late_s) for boxes in observed)
     try:
-        yield from follow(observed, model, smoother, settings, highest_id, platform, forecasts)
+        yield from follow(
+            *(observed, model, smoother, settings, highest_id, platform, forecasts),
+            ended_early=lambda: ending.early,
+        )
     except FrameRateError:
         # Of a source that has no proper end the pictures until then do not tell the rate.
         if not ending.early:
@@ -321,6 +324,7 @@ def follow(
     highest_id: int = NO_TRACK,
     platform: Platform | None = None,
     forecasts: Callable[[Track], None] | None = None,
+    ended_early: Callable[[], bool] = lambda: False,
 ) -> Iterator[Track]:
     """Tracks of boxes, each once its target has gone.
 
@@ -337,6 +341,8 @@ def follow(
             has one, and a tracker gives them.
         platform: What the camera stands on, where that moves.
         forecasts: See `iter_tracks`.
+        ended_early: Whether there would have been more batches: then it is nothing to be warned
+            of that no track came.
 
     Raises:
         FrameRateError: No target could be followed, since the boxes come too seldom.
@@ -368,7 +374,7 @@ def follow(
             yield made
     if count == 0:
         check_frame_rate(first_s, "boxes", model)
-        if boxes_seen[0]:
+        if boxes_seen[0] and not ended_early():
             _logger.warning(
                 "no track came of %d boxes: a track needs boxes below the horizon over at least "
                 "%g s, which have a track id in common, or of which one is of confidence 0.4",

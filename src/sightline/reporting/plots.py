@@ -436,7 +436,9 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
     if suffix not in FIGURE_SUFFIXES:
         raise InputError(f"{path}: a figure ends in {', '.join(FIGURE_SUFFIXES)}")
     with atomic_path(Path(path)) as temporary:
-        _save(figure, temporary, dpi, suffix[1:])
+        # By which a later run knows that it may replace it.
+        made_by = {"Software" if suffix == ".png" else "Creator": "sightline"}
+        _save(figure, temporary, dpi, suffix[1:], made_by)
 
 
 def data_uri(figure: Figure, *, dpi: int = 144) -> str:
@@ -446,11 +448,17 @@ def data_uri(figure: Figure, *, dpi: int = 144) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
 
 
-def _save(figure: Figure, to: Path | io.BytesIO, dpi: int, kind: str) -> None:
+def _save(
+    figure: Figure,
+    to: Path | io.BytesIO,
+    dpi: int,
+    kind: str,
+    metadata: dict[str, str] | None = None,
+) -> None:
     with warnings.catch_warnings():
         # A name in a script that the font lacks shows as boxes; the file is good all the same.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        figure.savefig(to, dpi=dpi, format=kind)
+        figure.savefig(to, dpi=dpi, format=kind, metadata=metadata)
 
 
 def _figure(width_in: float, height_in: float) -> Figure:

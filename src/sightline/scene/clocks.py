@@ -14,13 +14,13 @@ from sightline.camera.clock_search import (
     search_clocks,
 )
 from sightline.camera.observations import Landmarks, PointCorrespondences
-from sightline.camera.priors import CameraPrior
+from sightline.camera.priors import HEAVE_M, CameraPrior, PixelNoise
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.clock_offset import ClockOffset
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.models import control_landmarks
-from sightline.platform import Platform, to_bow, turned
+from sightline.platform import HEADING_SIGMA_DEG, Platform, to_bow, turned
 from sightline.plausibility import FASTEST_MPS
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene.camera_state import scene_horizons
@@ -68,11 +68,22 @@ def settle_clocks(scene: Scene, plane: LocalPlane, prior: CameraPrior | None = N
             heaving=scene.moves,
             starts=4 if known else _STARTS_UNKNOWN,
         ),
+        noise=_noise_on_board(scene.image_size_px) if scene.moves else PixelNoise(),
     )
     recordings = [one.clocked(plane, sources, level_m) for one in read]
     found = search_clocks(recordings, beliefs)
     by_name = {one.recording.name: offset for one, offset in zip(read, found, strict=True)}
     return replace(scene, recordings=tuple(_settled(r, by_name) for r in scene.recordings))
+
+
+def _noise_on_board(image_size_px: tuple[int, int]) -> PixelNoise:
+    """Noise of a foot that a camera on a vessel sees: it heaves, and its compass is off.
+
+    What a compass is off lasts for minutes, and may be another for each recording.
+    """
+    usual = PixelNoise()
+    swung_px = nominal_camera(image_size_px).focal_px * np.radians(HEADING_SIGMA_DEG)
+    return replace(usual, column_px=float(np.hypot(usual.column_px, swung_px)), heave_m=HEAVE_M)
 
 
 def _settled(recording: Recording, found: dict[str, ClockOffset]) -> Recording:

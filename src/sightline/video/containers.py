@@ -19,6 +19,7 @@ import av
 
 from sightline.errors import InputError
 from sightline.tally import Tally
+from sightline.video.kinds import AS_VIDEO, holds_pictures, why_no_video
 from sightline.video.pictures import MOST_PIXELS, PICTURE_SUFFIXES
 
 OPEN_TIMEOUT_S = 15.0
@@ -70,6 +71,8 @@ def open_container(name: str) -> av.container.InputContainer:
         timeout = (OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S)
         return _opened(name, name, protocols, f"{_FILE_FORMATS},{formats}".rstrip(","), timeout)
     _check_file(name)
+    if holds_pictures(name):
+        raise InputError(f"{name}: {why_no_video(name)}")
     # Without the prefix a name with a colon is taken for an address.
     return _opened(name, f"file:{name}", "file", _FILE_FORMATS, None)
 
@@ -122,19 +125,22 @@ def _opened(
 
 
 def _unreadable(name: str, error: Exception) -> InputError:
+    why = None if is_address(name) else why_no_video(name)
+    if why is not None:
+        return InputError(f"{name}: {why}")
     if not is_address(name) and Path(name).suffix.lower() in PICTURE_SUFFIXES:
         return InputError(f"{name}: is a picture, not a video; give the folder that it is in")
     if isinstance(error, av.error.FFmpegError) and error.errno == errno.EINVAL:
         return InputError(
-            f"{name}: is of no format that is read as a video; what names other files, as a "
-            "playlist does, is not"
+            f"{name}: is of no format that is read as a video (what names other files, as a "
+            f"playlist does, is not): if it plays elsewhere, {AS_VIDEO}"
         )
     reason = getattr(error, "strerror", None) or str(error)
     if is_address(name):
         return InputError(f"{name}: cannot be read as a video ({reason})")
     return InputError(
         f"{name}: cannot be read as a video ({reason}); the file is damaged, cut short, or of "
-        "another kind"
+        f"another kind: if it plays elsewhere, {AS_VIDEO}"
     )
 
 
@@ -148,8 +154,7 @@ def film_stream(
     """
     films = list(_films(container))
     if not films:
-        only = ", or only a cover picture" if container.streams.video else ""
-        raise InputError(f"{name}: holds no video that can be decoded{only}")
+        raise InputError(f"{name}: {_why_no_film(container, name)}")
     longest_s = max(_duration_s(stream) for stream in films)
     whole = [stream for stream in films if _duration_s(stream) * 2.0 >= longest_s]
 
@@ -172,6 +177,16 @@ def film_stream(
     return chosen
 
 
+def _why_no_film(container: av.container.InputContainer, name: str) -> str:
+    why = None if is_address(name) else why_no_video(name)
+    if why is not None:
+        return why
+    if not container.streams.video:
+        what = "holds sound and no video" if container.streams.audio else "holds no video"
+        return f"{what}; give the video"
+    return f"holds no video that can be decoded, or only a cover picture; {AS_VIDEO}"
+
+
 def _films(container: av.container.InputContainer) -> Iterator[av.VideoStream]:
     kinds = av.stream.Disposition
     still = kinds.attached_pic | kinds.timed_thumbnails | kinds.still_image
@@ -183,7 +198,8 @@ def _films(container: av.container.InputContainer) -> Iterator[av.VideoStream]:
 def _duration_s(stream: av.VideoStream) -> float:
     if stream.duration is None or stream.time_base is None:
         return 0.0
-    return float(stream.duration * stream.time_base)
+    # A damaged header may say less than none.
+    return max(float(stream.duration * stream.time_base), 0.0)
 
 
 def has_times(container: av.container.InputContainer) -> bool:

@@ -8,9 +8,10 @@ keep theirs.
 from __future__ import annotations
 
 import heapq
+import math
 import statistics
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,6 +36,10 @@ _LATE_S = 1.0
 _LATE_SHARE = 0.05
 # Decoders hold pictures back by at most so many packets to show them in order.
 _MOST_REORDERED = 16
+# And by one more for each thread.
+_MOST_THREADS = 16
+# By so many of the next frames the time of one is judged.
+_LOOKED_AHEAD = 3
 # Of these one packet is one picture, so that a packet without one is a lost picture. Others have
 # packets that only tell later ones something (VP8), or that repeat the picture (MPEG-4 part 2).
 ONE_PICTURE_A_PACKET = ("h264", "hevc", "vvc", "av1", "libdav1d", "mjpeg", "ffv1", "prores")
@@ -75,9 +80,9 @@ class Timeline:
         """The usual time from one frame to the next; 0 where that is not known yet."""
         return statistics.median(self._intervals) if self._intervals else 0.0
 
-    def ahead_s(self, segment: int, raw_s: float) -> float:
-        """How much later than the last frame a time is; 0 where the clock started anew."""
-        if self._origin_s is None or segment != self._segment:
+    def ahead_s(self, raw_s: float) -> float:
+        """How much later than the last frame a time is; 0 where there is no last frame."""
+        if self._origin_s is None:
             return 0.0
         return raw_s - self._origin_s + self._offset_s - self._last_s
 
@@ -87,41 +92,48 @@ class Timeline:
         near = sum(abs(step_s - usual_s) <= _WHOLE * usual_s for step_s in self._intervals)
         return near >= 0.9 * len(self._intervals) and len(self._intervals) >= _FEW_STEPS
 
-    def breaks_at(self, segment: int) -> bool:
-        """Whether the clock does not simply go on with a frame."""
-        return self._origin_s is not None and segment != self._segment
+    def is_wrong(self, raw_s: float, next_s: Sequence[float]) -> bool:
+        """Whether a time cannot be true, since most of the next go on as if it were not there.
 
-    def goes_on_with(self, raw_s: float) -> bool:
-        """Whether a time follows that of the last frame, as if nothing had been."""
-        if self._origin_s is None:
+        Args:
+            raw_s: What the video says of the next frame.
+            next_s: What it says of the few frames behind that.
+        """
+        if self._origin_s is None or not next_s:
             return False
-        step_s = raw_s - self._origin_s + self._offset_s - self._last_s
-        return 0.0 < step_s <= longest_step_s(self.interval_s())
+        step_s, longest_s = self.ahead_s(raw_s), longest_step_s(self.interval_s())
+        steps_s = [self.ahead_s(one_s) for one_s in next_s]
+        if 0.0 < step_s <= longest_s:
+            return len(steps_s) > 1 and _most(0.0 < one_s < step_s for one_s in steps_s)
+        if -_DISORDER_S <= step_s <= 0.0:
+            return False
+        goes_on = _most(0.0 < one_s <= longest_s for one_s in steps_s)
+        anew = _most(0.0 < one_s - step_s <= longest_s for one_s in steps_s)
+        return goes_on or (step_s < 0.0 and not anew)
 
-    def place(self, segment: int, raw_s: float) -> float:
+    def place(self, raw_s: float, next_s: Sequence[float] = ()) -> float:
         """The time of the next frame.
 
         Args:
-            segment: How often the clock of the packets had started anew.
             raw_s: What the video says.
+            next_s: What it says of the few frames behind that.
         """
         if self._origin_s is None:
-            self._origin_s, self._segment = raw_s, segment
+            self._origin_s = raw_s
+        elif self.is_wrong(raw_s, next_s):
+            self._wrong.append(self._frames)
+            later_s = [step_s for one_s in next_s if (step_s := self.ahead_s(one_s)) > 0.0]
+            return self.after_last(min(later_s, default=math.inf) / 2.0)
         seconds = raw_s - self._origin_s + self._offset_s
         step_s, interval_s = seconds - self._last_s, self.interval_s()
-        longest_s = longest_step_s(interval_s)
-        if segment != self._segment:
-            self._segment = segment
-            if step_s > longest_s:
-                self._pauses.append((self._frames, step_s))
-            elif step_s <= 0.0:
-                self._restarts.append(self._frames)
-                self._offset_s += interval_s - step_s
-                seconds = self._last_s + interval_s
-        elif step_s < 0.0 or (step_s == 0.0 and self._frames):
+        if step_s < -_DISORDER_S:
+            self._restarts.append(self._frames)
+            self._offset_s += interval_s - step_s
+            seconds = self._last_s + interval_s
+        elif step_s <= 0.0 and self._frames:
             self._disordered.append(self._frames)
             seconds = self._last_s
-        elif step_s > longest_s and self._frames:
+        elif step_s > longest_step_s(interval_s) and self._frames:
             self._pauses.append((self._frames, step_s))
         elif self._frames:
             self._intervals.append(step_s)
@@ -129,12 +141,14 @@ class Timeline:
         self._last_s = seconds
         return seconds
 
-    def after_last(self, *, wrong: bool = False) -> float:
-        """The time of a frame of which the video tells none, or a wrong one."""
-        if wrong:
-            self._wrong.append(self._frames)
+    def after_last(self, most_s: float = math.inf) -> float:
+        """The time of a frame of which the video tells none, or a wrong one.
+
+        Args:
+            most_s: It is no later than so long after the last.
+        """
         self._frames += 1
-        self._last_s += self.interval_s()
+        self._last_s += min(self.interval_s(), most_s)
         return self._last_s
 
     def note_in(self, tally: Tally) -> None:
@@ -155,7 +169,7 @@ class Timeline:
         if self._wrong:
             tally.note(
                 f"the times of {len(self._wrong)} frames cannot be true (the first is frame "
-                f"{self._wrong[0]}); they are taken one usual interval after those before"
+                f"{self._wrong[0]}); they are taken at most one usual interval after those before"
             )
         if self._disordered:
             tally.note(
@@ -167,6 +181,12 @@ class Timeline:
 def longest_step_s(interval_s: float) -> float:
     """The longest step ahead that is no pause, of a video with a usual interval."""
     return max(_PAUSE_S, _PAUSE_INTERVALS * interval_s)
+
+
+def _most(those: Iterable[bool]) -> bool:
+    """Whether more are true than not."""
+    known = list(those)
+    return 2 * sum(known) > len(known)
 
 
 def _places(frames: list[int]) -> str:
@@ -186,6 +206,9 @@ class Key(NamedTuple):
     ticks: int
 
 
+_NO_KEY = Key(0, 0)
+
+
 class PacketClock:
     """What packets say on the times of their pictures.
 
@@ -201,7 +224,6 @@ class PacketClock:
         self.by_decoding = self.timed and container.format.name == "avi"
         self.segment = 0
         self._decoded_s: float | None = None
-        self._steps_s: deque[float] = deque(maxlen=_REMEMBERED)
         self._first: Key | None = None
 
     def key(self, packet: av.Packet[av.VideoStream]) -> Key | None:
@@ -224,17 +246,41 @@ class PacketClock:
         return None if packet.is_discard or key < self._first else key
 
     def _step_to(self, decoded_s: float) -> None:
-        """Notice a clock that starts anew, or jumps, by the times of decoding: they only grow."""
-        if self._decoded_s is not None:
-            step_s = decoded_s - self._decoded_s
-            # Before it is known what is usual, a long step is no jump.
-            known = len(self._steps_s) >= _FEW_STEPS
-            usual_s = statistics.median(self._steps_s) if known else float("inf")
-            if step_s < -_DISORDER_S or step_s > longest_step_s(usual_s):
-                self.segment += 1
-            else:
-                self._steps_s.append(step_s)
+        """Notice a clock that starts anew by the times of decoding: they only grow.
+
+        One that jumps ahead keeps the order. Pictures from before the jump may be decoded behind
+        it, so that it parts nothing.
+        """
+        if self._decoded_s is not None and decoded_s - self._decoded_s < -_DISORDER_S:
+            self.segment += 1
         self._decoded_s = decoded_s
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """A picture that has come, and the packets whose pictures should have come before it."""
+
+    picture: av.VideoFrame
+    key: Key | None
+    ordinal: int
+    before: Sequence[int]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A frame at its place, behind others that are lost.
+
+    Attributes:
+        key: When it is shown.
+        picture: None for a frame that is lost.
+        lost: When those before it would have been shown, in order.
+        room: Whether more may be missing than there are packets of.
+    """
+
+    key: Key | None
+    picture: av.VideoFrame | None
+    lost: Sequence[Key] = ()
+    room: bool = False
 
 
 class Decoder:
@@ -260,7 +306,8 @@ class Decoder:
         self._damage = 0
         self._damaged_at = -_MOST_REORDERED
         self._sent_count = 0
-        self._held: tuple[Key, av.VideoFrame | None] | None = None
+        self._came: deque[_Picture] = deque()
+        self._next: deque[_Place] = deque()
         self._shown, self._shown_s = 0, 0.0
         self._lost: list[int] = []
         # Each picture says of which packet it is.
@@ -282,8 +329,11 @@ class Decoder:
             if pictures is None:
                 break
             for picture in pictures:
-                yield from self._frames(picture)
-        yield from self._left()
+                self._take(picture)
+            self._line_up()
+            yield from self._placed(0 if self._source.live else _LOOKED_AHEAD)
+        self._line_up(ended=True)
+        yield from self._placed(0)
         if broken is None and self._ends_early():
             broken = BreakError("its end cannot be decoded")
         if broken is not None:
@@ -346,8 +396,8 @@ class Decoder:
             return []
         return drained
 
-    def _frames(self, picture: av.VideoFrame) -> Iterator[Decoded]:
-        """A picture behind the frames before it that are lost."""
+    def _take(self, picture: av.VideoFrame) -> None:
+        """Keep a picture until it is known which of the frames before it are lost."""
         self._one_a_packet &= not picture.interlaced_frame
         ordinal = self._ordinal(picture)
         self._in_order &= ordinal > self._latest or ordinal < 0
@@ -357,24 +407,77 @@ class Decoder:
         if not self._clock.by_decoding and picture.pts is not None:
             segment = own.segment if own is not None else self._clock.segment
             key = Key(segment, picture.pts)
-        yield from self._lost_before(ordinal, key)
-        if self._clock.by_decoding and self._slots:
-            key = heapq.heappop(self._slots)
-        yield from self._placed(key, None if picture.is_corrupt else picture)
+        before = [o for o in self._waiting if self._is_lost(o, ordinal, key)]
+        if not self._one_a_packet:
+            before = before[: self._damage]
+        self._damage = 0
+        self._came.append(_Picture(picture, key, ordinal, before))
 
-    def _placed(self, key: Key | None, picture: av.VideoFrame | None) -> Iterator[Decoded]:
-        """A frame with its time; where the clock breaks, after a look at the next frame's."""
-        held, self._held = self._held, None
-        timed = key is not None and self._clock.timed
-        goes_on = key is not None and self.timeline.goes_on_with(key.ticks * self._tick_s)
-        if held is not None:
-            wrong = timed and goes_on
-            seconds = self.timeline.after_last(wrong=True) if wrong else self._seconds(held[0])
-            yield self._frame(seconds, held[1])
-        if key is not None and timed and not goes_on and self.timeline.breaks_at(key.segment):
-            self._held = key, picture
-        else:
-            yield self._frame(self._seconds(key), picture)
+    def _line_up(self, *, ended: bool = False) -> None:
+        """Give pictures their places, behind the frames before them that are lost.
+
+        That a picture has not come although a later one has, by the times of both, may be due to a
+        time that is wrong. So it is waited for as long as it may still come.
+        """
+        while self._came and (ended or not any(map(self._may_come, self._came[0].before))):
+            self._put_late_first()
+            came = self._came.popleft()
+            lost = [self._waiting.pop(o) for o in came.before if o in self._waiting]
+            if self._clock.by_decoding:
+                lost = [self._taken_slot(one) for one in lost]
+            # A transport stream marks the packet before those that are missing, or that behind.
+            near = bool(lost) or came.ordinal <= self._damaged_at + _MOST_REORDERED
+            key = came.key
+            if self._clock.by_decoding and self._slots:
+                key = heapq.heappop(self._slots)
+            picture = None if came.picture.is_corrupt else came.picture
+            room = near and self._transport
+            self._next.append(_Place(key, picture, tuple(sorted(lost)), room=room))
+        if ended:
+            lost = sorted(self._waiting.values())
+            self._waiting.clear()
+            lost = lost if self._one_a_packet else lost[: self._damage]
+            self._next += [_Place(one, None) for one in lost]
+
+    def _put_late_first(self) -> None:
+        """Put pictures that decoders show too late, behind damage, before that which stands first.
+
+        Where most of the pictures behind it are later than the first, its time is no wrong one.
+        """
+        first, *rest = self._came
+        late = [one for one in rest if one.ordinal in first.before and self._is_before(one, first)]
+        damaged = first.ordinal <= self._damaged_at + _MOST_REORDERED
+        if late and damaged and not _most(self._is_before(one, first) for one in rest):
+            late.sort(key=lambda one: one.key or _NO_KEY)
+            self._came = deque([*late, first, *(one for one in rest if one not in late)])
+
+    def _is_before(self, one: _Picture, other: _Picture) -> bool:
+        return one.key is not None and other.key is not None and one.key < other.key
+
+    def _may_come(self, ordinal: int) -> bool:
+        """Whether the decoder may still show a picture that it has been given."""
+        certain = self._source.live or not self._clock.timed or self._clock.by_decoding
+        if certain or not self._one_a_packet or ordinal not in self._waiting:
+            return False
+        return self._sent_count <= ordinal + _MOST_REORDERED + _MOST_THREADS
+
+    def _placed(self, behind: int) -> Iterator[Decoded]:
+        """The frames behind which there are so many others, with their times."""
+        while len(self._next) > behind:
+            place = self._next.popleft()
+            next_s = [self._raw_s(one.key) for one in self._next if one.key is not None]
+            next_s = next_s[:_LOOKED_AHEAD]
+            missing = self._missing(place.key, next_s) if place.room else 0
+            if place.key is not None and missing > len(place.lost):
+                raw_s = self._raw_s(place.key)
+                step_s = self.timeline.ahead_s(raw_s) / (missing + 1)
+                for number in range(missing, 0, -1):
+                    yield self._frame(self.timeline.place(raw_s - number * step_s), None)
+            else:
+                own_s = [] if place.key is None else [self._raw_s(place.key)]
+                for one in place.lost:
+                    yield self._frame(self._seconds(one, [*own_s, *next_s]), None)
+            yield self._frame(self._seconds(place.key, next_s), place.picture)
 
     def _frame(self, seconds: float, picture: av.VideoFrame | None) -> Decoded:
         if picture is None:
@@ -392,31 +495,15 @@ class Decoder:
         same = (o for o, key in self._waiting.items() if key.ticks == picture.pts)
         return next(same, -1)
 
-    def _seconds(self, key: Key | None) -> float:
+    def _raw_s(self, key: Key) -> float:
+        return key.ticks * self._tick_s
+
+    def _seconds(self, key: Key | None, next_s: Sequence[float]) -> float:
         if not self._clock.timed:
             return float("nan")
         if key is None:
             return self.timeline.after_last()
-        return self.timeline.place(key.segment, key.ticks * self._tick_s)
-
-    def _lost_before(self, ordinal: int, key: Key | None) -> Iterator[Decoded]:
-        gone = [o for o in self._waiting if self._is_lost(o, ordinal, key)]
-        lost = [self._waiting.pop(o) for o in gone]
-        if self._clock.by_decoding:
-            lost = [self._taken_slot(one) for one in lost]
-        lost = lost if self._one_a_packet else lost[: self._damage]
-        self._damage = 0
-        # A transport stream marks the packet before those that are missing, or that behind them.
-        near = bool(lost) or ordinal <= self._damaged_at + _MOST_REORDERED
-        missing = self._missing(key) if near and self._transport else 0
-        if key is not None and missing > len(lost):
-            now_s = key.ticks * self._tick_s
-            step_s = self.timeline.ahead_s(key.segment, now_s) / (missing + 1)
-            for number in range(missing, 0, -1):
-                yield self._frame(self.timeline.place(key.segment, now_s - number * step_s), None)
-            return
-        for one in sorted(lost):
-            yield from self._placed(one, None)
+        return self.timeline.place(self._raw_s(key), next_s)
 
     def _taken_slot(self, own: Key) -> Key:
         """The time of a lost frame: its own, or the next if another frame was given that."""
@@ -427,30 +514,20 @@ class Decoder:
         return own
 
     def _is_lost(self, other: int, ordinal: int, key: Key | None) -> bool:
-        """Whether the picture of another packet can no longer come, since that of this has."""
+        """Whether the picture of another packet should have come before this one."""
         if self._clock.timed and not self._clock.by_decoding:
             return key is not None and self._waiting[other] < key
         # Where nothing tells the order of showing: none is held back for so long.
         return other < ordinal - (0 if self._in_order else _MOST_REORDERED)
 
-    def _missing(self, key: Key | None) -> int:
+    def _missing(self, key: Key | None, next_s: Sequence[float]) -> int:
         """How many frames the time since the last one has room for."""
         interval_s = self.timeline.interval_s()
-        if key is None or not self.timeline.is_regular() or self._held is not None:
+        if key is None or not self.timeline.is_regular():
             return 0
-        ahead_s = self.timeline.ahead_s(key.segment, key.ticks * self._tick_s)
+        raw_s = self._raw_s(key)
+        ahead_s = self.timeline.ahead_s(raw_s)
         intervals = ahead_s / interval_s
-        if ahead_s > _PAUSE_S or abs(intervals - round(intervals)) > _WHOLE:
+        if not 0.0 < ahead_s <= _PAUSE_S or abs(intervals - round(intervals)) > _WHOLE:
             return 0
-        return round(intervals) - 1
-
-    def _left(self) -> Iterator[Decoded]:
-        """The frames at the end that never came."""
-        lost = sorted(self._waiting.values())
-        for one in lost if self._one_a_packet else lost[: self._damage]:
-            yield from self._placed(one, None)
-        self._waiting.clear()
-        if self._held is not None:
-            key, picture = self._held
-            self._held = None
-            yield self._frame(self._seconds(key), picture)
+        return 0 if self.timeline.is_wrong(raw_s, next_s) else round(intervals) - 1

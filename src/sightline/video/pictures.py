@@ -14,6 +14,7 @@ from PIL import Image, ImageOps
 
 from sightline.errors import BrokenOffError, InputError
 from sightline.tally import Tally
+from sightline.video.kinds import UNREAD_SUFFIXES, why_no_picture, why_no_pictures
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
 """Endings of the pictures that a folder's frames are looked for among."""
@@ -107,9 +108,10 @@ def _shown(stored: Image.Image, grey: GreyScale) -> NDArray[np.uint8]:
 
 
 def _no_picture(path: str | os.PathLike[str]) -> InputError:
-    return InputError(
-        f"{path}: is no picture that can be read, or is damaged; known are {', '.join(_FORMATS)}"
-    )
+    why = why_no_picture(path)
+    if why is None:
+        why = f"is no picture that can be read, or is damaged; known are {', '.join(_FORMATS)}"
+    return InputError(f"{path}: {why}")
 
 
 def _too_large(path: str | os.PathLike[str], size: str) -> InputError:
@@ -141,7 +143,8 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
         if other != path:
             raise InputError(f"{folder}: {other.name} and {path.name} are both frame {number[1]}")
     if not numbered:
-        raise InputError(f"{folder}: holds no picture; expected FRAME.jpg or FRAME.png")
+        why = why_no_pictures(folder) or "holds no picture; expected FRAME.jpg or FRAME.png"
+        raise InputError(f"{folder}: {why}")
     return dict(sorted(numbered.items()))
 
 
@@ -157,6 +160,10 @@ class FolderReader:
         self._folder, self._tally, self._grey = folder, tally, GreyScale()
         self._first: tuple[Path, tuple[int, int]] | None = None
         tally.format = "folder of pictures"
+        unread = [p.name for p in sorted(folder.iterdir()) if p.suffix.lower() in UNREAD_SUFFIXES]
+        tally.leave_out(
+            "pictures of a kind that is not read", len(unread), row=" ".join(unread[:1])
+        )
 
     def __iter__(self) -> Iterator[int]:
         return iter(self.pictures)

@@ -81,12 +81,23 @@ def _times(source: FileSource, tally: Tally) -> FloatArray | None:
                 keys.append(key)
     except BreakError as error:
         tally.note(f"breaks off after {len(keys)} frames ({error})")
-    if not keys or len(set(keys)) < len(keys):
+    if not keys or len(set(keys)) < len(keys) or _has_wrong_times(keys):
         return None
     timeline, tick_s = Timeline(), float(source.stream.time_base or 0)
-    seconds = [timeline.place(key.segment, key.ticks * tick_s) for key in sorted(keys)]
+    seconds = [timeline.place(key.ticks * tick_s) for key in sorted(keys)]
     timeline.note_in(tally)
     return np.array(seconds)
+
+
+def _has_wrong_times(keys: list[Key]) -> bool:
+    """Whether packets come later than their order of showing allows, as it was at the beginning.
+
+    Where one time is wrong, its picture or those around it seem to be shown before they come.
+    """
+    place = np.empty(len(keys), dtype=np.int64)
+    place[sorted(range(len(keys)), key=keys.__getitem__)] = np.arange(len(keys))
+    late = np.arange(len(keys)) - place
+    return bool(late[_COMPARED:].max(initial=0) > late[:_COMPARED].max(initial=0))
 
 
 def _size_mark(codec: str, head: bytes) -> bytes:

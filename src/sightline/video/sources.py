@@ -28,6 +28,8 @@ from sightline.video.pictures import MOST_PIXELS
 # How often a demuxer may fail in a row before the video counts as broken off.
 _MOST_FAILURES = 10
 _MOST_PACKETS = 1024
+# Of a transport stream so much is searched for its next packet at once.
+_SEARCHED_BYTES = 32768
 # What a stream hands over so soon after its opening has waited since before.
 _WAITING_S = 0.05
 _LOOK_S = 0.25
@@ -255,11 +257,18 @@ def _demuxed(
     container: av.container.InputContainer, stream: av.VideoStream
 ) -> Iterator[av.Packet[av.VideoStream]]:
     failures = 0
+    # Behind so many bytes without a packet a file is asked again, to its end: what was written
+    # before them comes then.
+    searches = 0 if container.size <= 0 else container.size // _SEARCHED_BYTES + _MOST_FAILURES
     while True:
         try:
             for packet in container.demux(stream):
                 failures = 0
                 yield packet
+        except av.error.BlockingIOError as error:
+            searches -= 1
+            if searches < 0:
+                raise BreakError(_reason(error)) from error
         except av.FFmpegError as error:
             failures += 1
             if failures > _MOST_FAILURES or not isinstance(error, av.error.InvalidDataError):

@@ -16,6 +16,7 @@ from sightline.cli.options import (
     CropSizeOption,
     DeviceOption,
     JsonOption,
+    OverwriteOption,
     RateOption,
     ScalesOption,
     SceneArgument,
@@ -34,6 +35,7 @@ from sightline.cli.parsing import (
     parse_pair,
     parse_size_px,
 )
+from sightline.cli.replacing import keep_others
 
 
 def compare(
@@ -82,6 +84,7 @@ def compare(
     threads: ThreadsOption = 0,
     seed: SeedOption = 0,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Train detectors alike and measure them on recordings that none has seen."""
     _optional.module("torch", "train")
@@ -102,6 +105,7 @@ def compare(
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
     keep_apart([json], loaded.files)
+    keep_others([(json, "result")], overwrite=overwrite)
     for_test, for_validation = parse_names(test), parse_names(validation)
     for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in (*for_validation, *for_test)

@@ -22,6 +22,7 @@ from sightline.cli.options import (
     DetectorOption,
     HorizonModelOption,
     JsonOption,
+    OverwriteOption,
     ProviderOption,
     RecordingsOption,
     SceneArgument,
@@ -31,6 +32,7 @@ from sightline.cli.options import (
 )
 from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import parse_names
+from sightline.cli.replacing import keep_others
 
 if TYPE_CHECKING:
     from sightline.evaluation.detection import DetectionReport, JudgedFrame
@@ -88,6 +90,7 @@ def evaluate(
     views: ViewsOption = None,
     model: HorizonModelOption = None,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Measure a detector on the frames of a scene in which boxes were drawn."""
     keep_apart([json], [scene, labels, model, detector])
@@ -105,6 +108,7 @@ def evaluate(
 
     loaded = Scene.load(scene)
     keep_apart([json], loaded.files)
+    keep_others([(json, "result")], overwrite=overwrite)
     if recordings is not None:
         loaded = loaded.select(parse_names(recordings))
     margins = parse_margins(margin or [])

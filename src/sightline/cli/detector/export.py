@@ -10,9 +10,10 @@ import typer
 from sightline import _optional
 from sightline.cli.common import progress, say, write_result
 from sightline.cli.defaults import PUBLISHED
-from sightline.cli.options import JsonOption
+from sightline.cli.options import JsonOption, OverwriteOption
 from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import parse_known_names, parse_size_px
+from sightline.cli.replacing import keep_others
 from sightline.errors import InputError
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ def export(
         ),
     ] = "",
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Write a detector as an ONNX file, and check that file against the network."""
     _optional.module("torch", "train")
@@ -75,6 +77,7 @@ def export(
     from sightline.training.trained import load_darknet, load_mean
 
     keep_apart([output, json], [source, weights, names, *(mean or [])])
+    keep_others([(output, "detector"), (json, "result")], overwrite=overwrite)
     if output.suffix != ".onnx":
         raise InputError(f"{output}: the file of a detector must end in .onnx")
     size_px = parse_size_px("--size", size) if size else None

@@ -18,9 +18,10 @@ from sightline.cli.common import (
 )
 from sightline.cli.common import write_result as write_json_result
 from sightline.cli.defaults import DEFAULT_LABEL
-from sightline.cli.options import JsonOption, RecordingsOption, SceneArgument
+from sightline.cli.options import JsonOption, OverwriteOption, RecordingsOption, SceneArgument
 from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.parsing import parse_names
+from sightline.cli.replacing import keep_others
 from sightline.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def label(
     ] = 0.0,
     name: Annotated[str, typer.Option("--label", help="The class of the boxes.")] = DEFAULT_LABEL,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Propose boxes of the logged target, for a person to check and a detector to learn from."""
     keep_apart([json], [scene, model])
@@ -80,6 +82,7 @@ def label(
     inputs = [*loaded.files, model]
     places = [output / f"{name}.csv" for name in (*(r.name for r in usable), "frames")]
     keep_apart([json], [*inputs, *places])
+    keep_others([(json, "result")], overwrite=overwrite)
     if output.is_dir():
         check_places(places, inputs)
     made: list[Proposals] = []

@@ -15,6 +15,7 @@ from sightline.cli.options import (
     CropSizeOption,
     DeviceOption,
     JsonOption,
+    OverwriteOption,
     RateOption,
     ScalesOption,
     SceneArgument,
@@ -33,6 +34,7 @@ from sightline.cli.parsing import (
     parse_pair,
     parse_size_px,
 )
+from sightline.cli.replacing import keep_others
 from sightline.errors import unknown_name
 
 
@@ -119,6 +121,7 @@ def train(
     threads: ThreadsOption = 0,
     seed: SeedOption = 0,
     json: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Train a detector on the boxes of a scene, and export it to ONNX."""
     if arch not in ARCHITECTURES:
@@ -133,6 +136,7 @@ def train(
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
     keep_apart([json], loaded.files)
+    keep_others([(json, "result")], overwrite=overwrite)
     for_validation = parse_names(validation)
     for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in for_validation
