@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
+import itertools
 import queue
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Protocol
 
 import av
+import av.container.core
 
 from sightline.errors import InputError
 from sightline.tally import Tally
@@ -33,6 +37,10 @@ _SEARCHED_BYTES = 32768
 # What a stream hands over so soon after its opening has waited since before.
 _WAITING_S = 0.05
 _LOOK_S = 0.25
+# FFmpeg asks whether it shall wait on ten times a second.
+_LEAVE_S = 1.0
+
+_receivers: dict[threading.Thread, threading.Event] = {}
 
 
 class BreakError(Exception):
@@ -120,9 +128,13 @@ class StreamSource:
         self._queue: queue.Queue[object] = queue.Queue(_MOST_PACKETS)
         self._stop = threading.Event()
         self._arrival_s = 0.0
-        threading.Thread(
+        receiver = threading.Thread(
             target=_receive, args=(name, self._queue, self._stop), daemon=True, name=name
-        ).start()
+        )
+        for ended in [one for one in list(_receivers) if not one.is_alive()]:
+            del _receivers[ended]
+        receiver.start()
+        _receivers[receiver] = self._stop
         opened = self._next()
         if isinstance(opened, Exception):
             raise opened
@@ -163,6 +175,25 @@ class StreamSource:
                 return self._queue.get(timeout=_LOOK_S)
             except queue.Empty:
                 continue
+
+
+@atexit.register
+def _leave_streams() -> None:
+    """End the threads that wait for streams.
+
+    While FFmpeg waits it asks PyAV whether it shall wait on, and whoever asks that while Python
+    ends is ended in the middle of FFmpeg, the process with it (a segmentation fault). PyAV has no
+    way to end a wait but the clock that it looks at.
+    """
+    waiting = [receiver for receiver in list(_receivers) if receiver.is_alive()]
+    if not waiting:
+        return
+    for receiver in waiting:
+        _receivers[receiver].set()
+    hours = itertools.count(1e12, 3600.0)
+    av.container.core.time = SimpleNamespace(monotonic=lambda: next(hours))  # type: ignore[attr-defined]
+    for receiver in waiting:
+        receiver.join(_LEAVE_S)
 
 
 def _receive(name: str, received: queue.Queue[object], stop: threading.Event) -> None:
