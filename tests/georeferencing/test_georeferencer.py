@@ -131,7 +131,7 @@ def test_a_box_without_a_place_is_beyond_what_was_learned(fitted: Any, model: st
     columns = np.array([200.0, 640.0, 1100.0])
     horizon = georeferencer.camera.horizon_y_px(columns)
     boxes = np.concatenate(
-        [box_at(*zip(columns, horizon + off, strict=True)) for off in (-30.0, 1.0, 60.0)]
+        [box_at(*zip(columns, horizon + off, strict=True)) for off in (-30.0, 0.3, 60.0)]
     )
     together = georeferencer.locate(boxes, source="first")
     np.testing.assert_array_equal(together.known, [False] * 6 + [True] * 3)
@@ -192,9 +192,9 @@ def test_covariances_cover_the_errors_that_truth_shows(
         squares.append(np.sum(error * solved, axis=1))
     square = np.concatenate(squares)
     assert (square < 5.99).mean() >= 0.95
-    # Nor are they twice as long as need be. They answer for a clock that is off, as none is here,
-    # which makes a square of 2, that of two true standard deviations, about half of it.
-    assert np.mean(square) > 0.5
+    # Nor are they much longer than need be. They answer for a clock and a log that are off, as none
+    # is here, which makes a square of 2, that of two true standard deviations, less than half of it.
+    assert np.mean(square) > 0.4
 
 
 def test_an_unknown_model_lists_the_known(small_scene: Scene) -> None:

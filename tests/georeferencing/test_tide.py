@@ -129,7 +129,8 @@ def test_a_level_moves_places_as_the_geometry_says(model: Georeferencer) -> None
     assert camera is not None
     assert isinstance(regressor, CameraRegressor)
     regressor = CameraRegressor.from_state(*regressor.state())
-    regressor.hull_m = 0.0
+    regressor.half_m = np.zeros(2)
+    regressor.camera_ = camera = replace(camera, curvature=0.0)
     boxes = np.array([[600.0, 420.0, 640.0, 440.0], [200.0, 500.0, 300.0, 560.0]])
     bias_m = regressor.bias("me")[0][1]
     at = np.hypot(*(regressor.predict(boxes) - (camera.east_m, camera.north_m)).T)
@@ -199,11 +200,14 @@ def test_what_is_not_known_of_the_level_is_in_the_ellipse(model: Georeferencer) 
     assert model.camera is not None
     certain = CameraRegressor.from_state(*regressor.state())
     certain.above_sigma_m = 0.0
+    regressor = CameraRegressor.from_state(*regressor.state())
+    for one in (regressor, certain):
+        one.half_m = np.zeros(2)
     box = np.array([[600.0, 420.0, 640.0, 440.0], [600.0, 421.0, 640.0, 441.0]])
     places, unsure, unsure_shared = regressor.predict(box, return_shared=True)
     _, sure, sure_shared = certain.predict(box, return_shared=True)
     away = places - (model.camera.east_m, model.camera.north_m)
-    range_m = np.hypot(*away.T) - regressor.hull_m
+    range_m = np.hypot(*away.T)
     bias_m = regressor.bias("me")[0][1]
     for wide, narrow in ((unsure, sure), (unsure_shared, sure_shared)):
         added = np.trace(wide - narrow, axis1=1, axis2=2)

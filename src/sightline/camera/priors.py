@@ -85,7 +85,7 @@ NOISE_PRIORS = {
     # Drawn and detected boxes differ by a pixel or two, and by more in their columns.
     "row_px": NoisePrior(1.0, 0.7),
     "column_px": NoisePrior(2.0, 0.7),
-    "row_m": NoisePrior(1.0),
+    "row_m": NoisePrior(0.15, 1.0),
     "place_m": NoisePrior(1.0),
     # A phone's receiver is some metres off, for half a minute or for as long as it is watched.
     "correlated_m": NoisePrior(3.0),
@@ -133,17 +133,17 @@ class CameraPrior:
     """
 
     height_m: float = 5.0
-    log_height_sigma: float = 1.2
-    pitch_deg: tuple[float, float] = (5.0, 20.0)
+    log_height_sigma: float = 1.0
+    pitch_deg: tuple[float, float] = (5.0, 15.0)
     roll_deg: tuple[float, float] = (0.0, 3.0)
-    focal_widths: float = 0.9
-    log_focal_sigma: float = 0.9
+    focal_widths: float = 0.8
+    log_focal_sigma: float = 0.3
     k1_sigma: float = 0.15
     k2_sigma: float = 0.1
     half_length_m: tuple[float, float] = (0.0, 2.0)
     half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
-    principal_sigma_widths: float = 0.02
+    principal_sigma_widths: float = 0.015
     curvature: tuple[float, float] = (6.0 / 7.0, 0.5)
     bias_px: float = 0.0
     bias_px_sigma: float = 2.0

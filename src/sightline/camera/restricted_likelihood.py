@@ -20,11 +20,8 @@ from sightline.camera.priors import NOISE_PRIORS, PixelNoise
 from sightline.types import BoolArray, FloatArray
 
 _WHITE = ("row_px", "row_m", "column_px", "place_m")
-_CORRELATED = (
-    "correlated_m",
-    "correlation_time_s",
-    "offset_m",
-    "antenna_share",
+_CORRELATED = ("correlated_m", "correlation_time_s", "offset_m", "antenna_share")
+_LASTING = (
     "lasting_m",
     "lasting_row_px",
     "lasting_column_px",
@@ -135,8 +132,8 @@ def most_probable_noise(
     names = [*_WHITE]
     if likelihood.blocks:
         names += _CORRELATED
-    if heaving:
-        names.append("heave_m")
+        # On a vessel what lasts a second or two is its heave.
+        names += ("heave_m",) if heaving else _LASTING
     priors = [NOISE_PRIORS[name] for name in names]
 
     def noise_at(logs: FloatArray) -> PixelNoise:

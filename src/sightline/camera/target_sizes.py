@@ -22,9 +22,10 @@ BEAM_SHARE = 0.35
 
 # Of the logarithm of a width: margins that people and detectors leave, and masts and wakes.
 _WIDTH_SIGMA = 0.25
-# Of the logarithm of the sizes of targets: what is expected before any has been seen counts as much
-# as one target that differs by this from the typical one.
-_USUAL_SPREAD = 0.4
+USUAL_SPREAD = 0.4
+"""Standard deviation of the logarithm of the sizes of targets before any has been seen, which counts
+as much as one target that differs by this from the typical one."""
+
 _ANGLES, _SIZES, _WIDTHS = 24, 41, 64
 _REACH = 4.0
 
@@ -46,7 +47,7 @@ class TargetSizes:
         """The distribution from half the lengths of some targets, (K,) metres, at least one."""
         logs = np.log(half_length_m)
         middle = float(np.median(logs))
-        spread = np.sqrt((_USUAL_SPREAD**2 + np.sum((logs - middle) ** 2)) / (1.0 + logs.size))
+        spread = np.sqrt((USUAL_SPREAD**2 + np.sum((logs - middle) ** 2)) / (1.0 + logs.size))
         return cls(float(np.exp(middle)), float(spread))
 
     def reach(self, width_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -17,7 +17,9 @@ from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camer
 from sightline.camera.correlated_noise import CorrelatedError
 from sightline.camera.parameters import (
     CAMERA_AND_TARGET,
+    CURVATURE,
     HALF_LENGTH,
+    PRINCIPAL_DX,
     SOURCE_PARAMETERS,
     TARGET,
     ParameterLayout,
@@ -37,7 +39,7 @@ from sightline.camera.priors import (
     PixelNoise,
     SourcePrior,
 )
-from sightline.camera.target_sizes import TargetSizes
+from sightline.camera.target_sizes import USUAL_SPREAD, TargetSizes
 from sightline.georeferencing.model_file import numbers_of_shape
 from sightline.georeferencing.observations import CameraObservations
 from sightline.georeferencing.one_box import place_one
@@ -59,6 +61,8 @@ UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
 
+# Prior of what earlier models took as known.
+_EXACT = 1e-9
 # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
@@ -293,9 +297,14 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         self.half_m = self.fit_.vector[TARGET]
         # Of a box nobody knows the course, and so not to which side of its middle the receiver is.
         noise, half_length = self.fit_.noise, self.half_m[0]
-        self.aboard_m2 = float(noise.middle_m**2 + (noise.antenna_share * half_length) ** 2)
-        # What lasts is the box's as well as the log's, as far as anyone can tell.
-        self.lasting_m2 = noise.lasting_m**2 + noise.offset_m**2
+        # Targets of one size are likely one target, whose receiver stands where it always does.
+        sizes = self.fit_.sizes
+        alike = 0.0 if sizes is None else min(sizes.log_sigma / USUAL_SPREAD, 1.0)
+        self.aboard_m2 = float(noise.middle_m**2 + (alike * noise.antenna_share * half_length) ** 2)
+        # A log that drifts is off by as much from the start. What is constant beyond that, a box may
+        # have as well, as far as anyone can tell.
+        constant = max(noise.offset_m**2 - noise.correlated_m**2, 0.0)
+        self.lasting_m2 = noise.lasting_m**2 + constant
         self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
@@ -423,7 +432,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             along += own_along
             across += own_across
             mixed = mixed + seen.noise_mixed
+            alike_mixed = seen.lasting_mixed
         else:
+            alike_mixed = np.zeros_like(mixed)
             rows = slice(None) if known.all() else known
             near = seen[rows]
             inputs = self._inputs(boxes[rows], near, source)
@@ -447,10 +458,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         places[:, 1] = self.camera_.north_m + distance * cosine
         _turn(along, across, mixed, sine, cosine, covariance)
         if shared.size:
+            # Of the box's noise, the part that a moment later is the same.
+            alike = seen.lasting / seen.noise
             _turn(
-                along - own_along + seen.lasting[0],
-                across - own_across + seen.lasting[1],
-                seen.moved_mixed + seen.lasting_mixed,
+                along - own_along * (1.0 - alike[0]),
+                across - own_across * (1.0 - alike[1]),
+                seen.moved_mixed + alike_mixed,
                 sine,
                 cosine,
                 shared,
@@ -611,6 +624,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             raise TypeError("a source of boxes is no text")
         clock_groups = np.array(arrays["clock_groups"], dtype=np.int64)
         size = ParameterLayout(len(model.sources_), clock_groups.size).size
+        arrays = _with_all_parameters(arrays, size)
         vector = np.array(arrays["vector"], dtype=np.float64).reshape(size)
         nothing = np.empty(0)
         sizes = settings.get("sizes")
@@ -647,6 +661,24 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ]
         model.range_process_, model.bearing_process_ = processes
         return model
+
+
+def _with_all_parameters(arrays: Arrays, size: int) -> Arrays:
+    """Arrays of a model file; earlier ones had no principal point and no curvature.
+
+    Theirs are those of the middle of the image and of a plane, exactly known.
+    """
+    vector = np.asarray(arrays["vector"], dtype=np.float64)
+    later = np.arange(PRINCIPAL_DX, CURVATURE + 1)
+    if vector.size != size - later.size:
+        return arrays
+    known = np.delete(np.arange(size), later)
+    prior_sigma, whole = np.full(size, _EXACT), np.zeros(size)
+    whole[known] = vector
+    prior_sigma[known] = np.asarray(arrays["prior_sigma"], dtype=np.float64)
+    covariance = np.zeros((size, size))
+    covariance[np.ix_(known, known)] = np.asarray(arrays["covariance"], dtype=np.float64)
+    return {**arrays, "vector": whole, "prior_sigma": prior_sigma, "covariance": covariance}
 
 
 def _restored_process(

@@ -101,11 +101,14 @@ def place_one(
         return None
     along += model.clock_variance
     across += model.clock_variance
+    # Of the box's noise, the part that a moment later is the same.
+    alike_along, alike_across = last_along / own_along, last_across / own_across
     own_mixed = 0.0
     if model.range_process_ is None or model.bearing_process_ is None:
         own_mixed = of_column * column_along * column_across + of_row * row_along * row_across
         own_mixed += last_mixed
     else:
+        last_mixed = 0.0
         heading = math.radians(camera.heading_deg)
         sin_h, cos_h = math.sin(heading), math.cos(heading)
         per_pixel = distance / camera.focal_px
@@ -129,7 +132,8 @@ def place_one(
         sin_t, cos_t = math.sin(turn), math.cos(turn)
         sine, cosine = sine * cos_t + cosine * sin_t, cosine * cos_t - sine * sin_t
     place = np.array([[camera.east_m + distance * sine, camera.north_m + distance * cosine]])
-    shared = _turned(along + last_along, across + last_across, mixed + last_mixed, sine, cosine)
+    same_along, same_across = along + alike_along * own_along, across + alike_across * own_across
+    shared = _turned(same_along, same_across, mixed + last_mixed, sine, cosine)
     whole = _turned(along + own_along, across + own_across, mixed + own_mixed, sine, cosine)
     return place, np.array(whole), np.array(shared)
 
