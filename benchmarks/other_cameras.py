@@ -10,8 +10,8 @@ the median residual of that, whichever is better on the test): it knows nothing 
 cannot say how sure it is.
 
 The second table is of cameras that were made, whose height and focal length are known. The third
-says how long fits to simulated targets take, 16 boxes a target, on one core and with as many threads
-as BLAS would take. `make bench` runs all else on one core.
+says how long fits to simulated targets take, 16 boxes a target, on one core and with as many
+threads as BLAS would take. `make bench` runs all else on one core.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ def cell(
 ) -> str:
     """The mean over seeds, with the worst where there are several."""
     values = np.array([value(one) for one in scores])
+    if not np.isfinite(values).any():
+        return "none"
     if values.size == 1:
         return f"{values[0]:{form}}"
     return f"{values.mean():{form}} ({values.min() if least else values.max():{form}})"
