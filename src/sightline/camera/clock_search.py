@@ -374,7 +374,7 @@ class _Search:
         shape = vector[: problem.layout.clocks.start].copy()
         return _Candidate(moved_s, shape, score, self._medians(problem, square))
 
-    def _medians(self, problem: _Problem, square: FloatArray) -> FloatArray:
+    def _medians(self, problem: MixedModel, square: FloatArray) -> FloatArray:
         """(R,) `_Candidate.median` of squared standardised residuals (N,)."""
         median = np.full(len(self.recordings), np.inf)
         for index, recording in enumerate(self.recordings):
