@@ -10,6 +10,7 @@ import pytest
 
 import sightline
 from sightline import Georeferencer, Scene
+from sightline.camera.pinhole import EARTH_RADIUS_M
 from sightline.errors import InputError
 from sightline.formats import write_boxes, write_fixes
 from sightline.georeferencing.camera_regressor import CameraRegressor
@@ -211,7 +212,8 @@ def test_what_is_not_known_of_the_level_is_in_the_ellipse(model: Georeferencer) 
     bias_m = regressor.bias("me")[0][1]
     for wide, narrow in ((unsure, sure), (unsure_shared, sure_shared)):
         added = np.trace(wide - narrow, axis1=1, axis2=2)
-        expected = (0.1 * range_m / (model.camera.height_m - bias_m)) ** 2
+        dip_m = model.camera.curvature * range_m**2 / (2.0 * EARTH_RADIUS_M)
+        expected = (0.1 * range_m / (model.camera.height_m - bias_m - dip_m)) ** 2
         np.testing.assert_allclose(added, expected, rtol=1e-6)
 
 

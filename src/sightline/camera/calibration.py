@@ -199,31 +199,31 @@ def fit_camera(
         )
     for one in (everything, problem):
         one.expect_clocks(settings.clocks)
-    found: list[tuple[float, FloatArray]] = []
+    # Costs, cameras, and what these were under the wider noise.
+    found: list[tuple[float, FloatArray, FloatArray]] = []
     assumed = noise or PixelNoise()
     for start in problem.starts(starts, np.random.default_rng(settings.seed)):
-        solution = problem.solve(start, assumed.scaled(_WIDE), evaluations=50)
-        if solution is not None:
-            solution = problem.solve(solution[1], assumed, evaluations=50)
-        if solution is not None:
-            found.append(solution)
+        wide = problem.solve(start, assumed.scaled(_WIDE), evaluations=50)
+        solution = problem.solve(wide[1], assumed, evaluations=50) if wide is not None else None
+        if wide is not None and solution is not None:
+            found.append((*solution, wide[1]))
     if not found:
         raise FitError(_BEHIND)
-    found.sort(key=lambda pair: pair[0])
+    found.sort(key=lambda one: one[0])
     if everything.heaving and noise is None:
         assumed = replace(assumed, heave_m=HEAVE_M)
-    start = np.append(found[0][1], 0.0)
+    start, wide_start = (np.append(vector, 0.0) for vector in found[0][1:])
     if noise is None:
-        best, estimated = problem.with_estimated_noise(start, assumed)
+        best, estimated, doubt = problem.with_estimated_noise(start, wide_start, assumed)
     else:
         problem.expect_hull(start)
-        best, estimated = problem.refine(start, noise), noise
+        best, estimated, doubt = problem.refine(start, noise), noise, np.zeros(start.size)
     if best is None:
         raise FitError(_BEHIND)
     best.vector[HEADING] = np.mod(best.vector[HEADING], 2.0 * np.pi)
     # The noise came from the best start; under it the others go on from where they are.
     ends = [best.vector]
-    for _, vector in found[1:]:
+    for _, vector, _ in found[1:]:
         if np.all(np.abs(vector - found[0][1]) < _SAME_END * problem.scale):
             ends.append(best.vector)
             continue
@@ -231,15 +231,16 @@ def fit_camera(
         end = problem.refine(np.append(nearer[1], 0.0), estimated) if nearer else None
         if end is not None:
             ends.append(end.vector)
-    fit = _Summary(problem).at(best, estimated, ends, starts)
-    return fit if problem is everything else _Summary(everything).with_all(fit, chosen)
+    fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
+    return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 
 class _Summary:
     """The fit of a model at a maximum of its posterior."""
 
-    def __init__(self, model: MixedModel) -> None:
+    def __init__(self, model: MixedModel, doubt: FloatArray) -> None:
         self.model = model
+        self.doubt = doubt
 
     def at(
         self, found: LocalMaximum, noise: PixelNoise, ends: list[FloatArray], starts: int
@@ -266,11 +267,12 @@ class _Summary:
             scaled.T @ scaled + beliefs.T @ beliefs, hermitian=True
         ).astype(np.float64)
         leverage = np.einsum("nj,jk,nk->n", scaled, whole, scaled).reshape(-1, 2).sum(axis=1)
-        # Beliefs bound how far it goes.
         pulled = whole @ self._attenuation(found.vector, noise, variance * crowding / found.weight)
+        # Beliefs bound how far either goes.
         limit = np.append(_MOST_PULLED * self.model.sigma, np.inf)
-        pulled *= min(1.0, float(np.min(limit / np.maximum(np.abs(pulled), 1e-12))))
-        whole = whole + np.outer(pulled, pulled)
+        for by in (pulled, self.doubt):
+            by = by * min(1.0, float(np.min(limit / np.maximum(np.abs(by), 1e-12))))
+            whole = whole + np.outer(by, by)
         vector, covariance = (
             found.vector[: self.model.size],
             whole[: self.model.size, : self.model.size],

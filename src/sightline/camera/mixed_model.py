@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import least_squares
+from scipy.stats import norm
 
 from sightline.camera.correlated_noise import Whitening, blocks_of
 from sightline.camera.observations import NO_SOURCE, PointCorrespondences
@@ -48,9 +49,8 @@ _UNDER_WAY_MPS = 0.5
 # Of a standard deviation: a step so small ends the search.
 _ENOUGH = 0.01
 _MOST_STEPS = 30
-# Parameters and noise are estimated in turn so many times, and as often again for another view of
-# whose the errors are.
-_ROUNDS, _MORE_ROUNDS = 6, 3
+# Parameters and noise are estimated in turn so many times.
+_ROUNDS = 6
 # Targets are left out in so many parts.
 _FOLDS = 6
 _NO_WEIGHT = 1e-9
@@ -349,9 +349,6 @@ class MixedModel:
         mean, beliefs = self.beliefs(vector.size)
         precision = beliefs.T @ beliefs
         place_variance = (self.place_sigma(noise) ** 2)[:, None]
-        # Without times the scatter of single places cannot be told from the target's path: see
-        # `summarise`.
-        latent = np.where(self.timed[:, None], place_variance, 0.0)
         shift = np.zeros((len(self.sightings), 2))
         absent = np.zeros(len(self.sightings), dtype=bool) if left_out is None else left_out
         weight = np.where(absent[:, None], _NO_WEIGHT, np.ones((len(self.sightings), 2)))
@@ -387,7 +384,7 @@ class MixedModel:
             drift, offset, body = whitening.correlated_error(pull)
             shift = offset + drift
             if self.of_log:
-                shift += body + latent * np.einsum("nij,ni->nj", by_place, pull)
+                shift += body + place_variance * np.einsum("nij,ni->nj", by_place, pull)
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
             weight[absent] = _NO_WEIGHT
@@ -399,35 +396,59 @@ class MixedModel:
         return LocalMaximum(vector, shift, weight, standard)
 
     def with_estimated_noise(
-        self, start: FloatArray, noise: PixelNoise
-    ) -> tuple[LocalMaximum | None, PixelNoise]:
-        """The maximum of the posterior under noise that is estimated, and that noise.
+        self, start: FloatArray, wide_start: FloatArray, noise: PixelNoise
+    ) -> tuple[LocalMaximum | None, PixelNoise, FloatArray]:
+        """The maximum of the posterior under noise that is estimated, that noise, and the doubt.
 
         Errors in metres that last a second or two are a target's gait, or its log's. Likelihood
         does not tell which, and where derivatives are to be taken depends on it: where the log
         says, or where the target was. Both are tried, and the one is kept by which targets that
         were left out are placed better.
+
+        Args:
+            start: Parameters by white noise at the logged places.
+            wide_start: The same by much wider noise. The other view starts there, since from
+                ``start``, which takes all errors for the box's, it need not find back.
+            noise: To begin with.
+
+        Returns:
+            The doubt is what is to be added to the parameters as one more error, (P,): how far
+            away the other view has them, times the root of the probability that it is the right
+            one, which is that of its left-out places being the better ones by chance alone.
         """
-        best, estimated = self.alternate(start, noise, _ROUNDS)
-        if best is None or not self.blocks:
-            return best, estimated
+        best, estimated = self.alternate(start, noise)
+        if best is None:
+            return best, estimated, np.zeros(start.size)
+        errors = self.left_out_errors(best, estimated)
         self.of_log = True
-        other, of_other = self.alternate(best.vector, estimated, _MORE_ROUNDS)
-        error_other = np.inf if other is None else self.left_out_error(other, of_other)
+        other, of_other = self.alternate(wide_start, noise)
+        errors_other = None if other is None else self.left_out_errors(other, of_other)
         self.of_log = False
-        self.expect_hull(best.vector)
-        if self.left_out_error(best, estimated) <= error_other or other is None:
-            return best, estimated
+        if other is None or errors is None or errors_other is None:
+            self.expect_hull(best.vector)
+            return best, estimated, np.zeros(start.size)
+        more = errors_other - errors
+        # Of the sum; parts are independent of one another, boxes of one part are not.
+        sigma = np.sqrt(more.size * np.var(more, ddof=1))
+        chance = float(norm.sf(np.abs(more.sum()) / max(sigma, 1e-12)))
+        apart = np.sqrt(chance) * (other.vector - best.vector)
+        apart[HEADING] = np.sqrt(chance) * np.arctan2(
+            np.sin(other.vector[HEADING] - best.vector[HEADING]),
+            np.cos(other.vector[HEADING] - best.vector[HEADING]),
+        )
+        if more.sum() >= 0.0:
+            self.expect_hull(best.vector)
+            return best, estimated, apart
         self.of_log = True
         self.expect_hull(other.vector)
-        return other, of_other
+        return other, of_other, apart
 
     def alternate(
-        self, start: FloatArray, noise: PixelNoise, rounds: int
+        self, start: FloatArray, noise: PixelNoise
     ) -> tuple[LocalMaximum | None, PixelNoise]:
         """Parameters under the noise and noise under the parameters, in turn."""
         best = None
-        for _ in range(rounds):
+        for _ in range(_ROUNDS):
             self.expect_hull(start)
             best = self.refine(start, noise)
             if best is None:
@@ -440,20 +461,31 @@ class MixedModel:
                 break
         return self.refine(start, noise), noise
 
-    def left_out_error(self, found: LocalMaximum, noise: PixelNoise) -> float:
-        """Root mean square error of the places of targets that were left out, metres."""
+    def left_out_errors(self, found: LocalMaximum, noise: PixelNoise) -> FloatArray | None:
+        """(K,) summed squared errors of places that were left out, square metres, of each part.
+
+        Targets are left out, or stretches of a single one.
+
+        Returns:
+            None where what is left tells no camera.
+        """
         s = self.sightings
-        logs = np.unique(s.log[self.boxes])
-        if logs.size < 2:
-            return 0.0
-        squares = []
-        for fold in range(min(_FOLDS, logs.size)):
-            left = self.boxes & np.isin(s.log, logs[fold::_FOLDS])
+        rows = np.flatnonzero(self.boxes)
+        logs, part = np.unique(s.log[rows], return_inverse=True)
+        if logs.size == 1:
+            rows = rows[np.argsort(s.time_s[rows], kind="stable")]
+            part = np.arange(rows.size) * _FOLDS // rows.size
+        count = int(part.max()) + 1
+        out = np.zeros(count)
+        for fold in range(min(_FOLDS, count)):
+            left = np.zeros(len(s), dtype=bool)
+            left[rows[part % _FOLDS == fold]] = True
             without = self.refine(found.vector, noise, left_out=left)
             if without is None:
-                return np.inf
-            squares.append(self.squared_errors(without.vector, np.flatnonzero(left)))
-        return float(np.sqrt(np.mean(np.concatenate(squares))))
+                return None
+            of = np.flatnonzero(part % _FOLDS == fold)
+            np.add.at(out, part[of], self.squared_errors(without.vector, rows[of]))
+        return out
 
     def squared_errors(self, vector: FloatArray, rows: IntArray) -> FloatArray:
         """(K,) squared errors of places, square metres, of at most half of the distance."""
