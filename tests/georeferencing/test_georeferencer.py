@@ -192,8 +192,9 @@ def test_covariances_cover_the_errors_that_truth_shows(
         squares.append(np.sum(error * solved, axis=1))
     square = np.concatenate(squares)
     assert (square < 5.99).mean() >= 0.95
-    # Nor are they much longer than need be. They answer for a clock and a log that are off, as none
-    # is here, which makes a square of 2, that of two true standard deviations, less than half of it.
+    # Nor are they much longer than need be. They answer for a clock and a log that are off, as
+    # none is here, which makes a square of 2, that of two true standard deviations, less than half
+    # of it.
     assert np.mean(square) > 0.4
 
 

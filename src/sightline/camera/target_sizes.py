@@ -23,8 +23,8 @@ BEAM_SHARE = 0.35
 # Of the logarithm of a width: margins that people and detectors leave, and masts and wakes.
 _WIDTH_SIGMA = 0.25
 USUAL_SPREAD = 0.4
-"""Standard deviation of the logarithm of the sizes of targets before any has been seen, which counts
-as much as one target that differs by this from the typical one."""
+"""Standard deviation of the logarithm of the sizes of targets before any has been seen, which
+counts as much as one target that differs by this from the typical one."""
 
 _ANGLES, _SIZES, _WIDTHS = 24, 41, 64
 _REACH = 4.0

@@ -301,8 +301,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         sizes = self.fit_.sizes
         alike = 0.0 if sizes is None else min(sizes.log_sigma / USUAL_SPREAD, 1.0)
         self.aboard_m2 = float(noise.middle_m**2 + (alike * noise.antenna_share * half_length) ** 2)
-        # A log that drifts is off by as much from the start. What is constant beyond that, a box may
-        # have as well, as far as anyone can tell.
+        # A log that drifts is off by as much from the start. What is constant beyond that, a box
+        # may have as well, as far as anyone can tell.
         constant = max(noise.offset_m**2 - noise.correlated_m**2, 0.0)
         self.lasting_m2 = noise.lasting_m**2 + constant
         self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
