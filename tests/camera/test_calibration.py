@@ -537,7 +537,10 @@ def test_boxes_of_one_moment_are_of_one_place() -> None:
 
 # Of these boxes nothing is to be learned but the camera.
 JUST_THE_CAMERA = CameraPrior(
-    bias_px_sigma=0.05, bias_m_sigma=0.01, half_length_m=(0.0, 0.05), half_beam_m=(0.0, 0.05)
+    bias_px_sigma=0.05,
+    bias_m_sigma=0.01,
+    half_length_m=(0.0, 0.05),
+    half_beam_m=(0.0, 0.05),
 )
 
 

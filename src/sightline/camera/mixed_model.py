@@ -412,9 +412,9 @@ class MixedModel:
             noise: To begin with.
 
         Returns:
-            The doubt is what is to be added to the parameters as one more error, (P,): how far
-            away the other view has them, times the root of the probability that it is the right
-            one, which is that of its left-out places being the better ones by chance alone.
+            The parameters are the mean over both views, each as probable as it is that its
+            left-out places are the nearer ones by more than chance; the doubt is what is to be
+            added to them as one more error, (P,), the standard deviation over both.
         """
         best, estimated = self.alternate(start, noise)
         if best is None:
@@ -431,17 +431,14 @@ class MixedModel:
         # Of the sum; parts are independent of one another, boxes of one part are not.
         sigma = np.sqrt(more.size * np.var(more, ddof=1))
         chance = float(norm.sf(np.abs(more.sum()) / max(sigma, 1e-12)))
-        apart = np.sqrt(chance) * (other.vector - best.vector)
-        apart[HEADING] = np.sqrt(chance) * np.arctan2(
-            np.sin(other.vector[HEADING] - best.vector[HEADING]),
-            np.cos(other.vector[HEADING] - best.vector[HEADING]),
-        )
-        if more.sum() >= 0.0:
-            self.expect_hull(best.vector)
-            return best, estimated, apart
-        self.of_log = True
-        self.expect_hull(other.vector)
-        return other, of_other, apart
+        if more.sum() < 0.0:
+            self.of_log = True
+            best, estimated, other = other, of_other, best
+        self.expect_hull(best.vector)
+        apart = other.vector - best.vector
+        apart[HEADING] = np.arctan2(np.sin(apart[HEADING]), np.cos(apart[HEADING]))
+        mean = replace(best, vector=best.vector + chance * apart)
+        return mean, estimated, np.sqrt(chance * (1.0 - chance)) * apart
 
     def alternate(
         self, start: FloatArray, noise: PixelNoise
