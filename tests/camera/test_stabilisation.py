@@ -10,7 +10,7 @@ import pytest
 
 import sightline
 from sightline.camera.horizon_line import find_waterline
-from sightline.camera.pinhole import Camera
+from sightline.camera.pinhole import EARTH_RADIUS_M, Camera
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
 from sightline.camera.state import CameraHistory
 from sightline.cli import main
@@ -325,17 +325,26 @@ def test_heave_is_told_from_errors_of_the_log(at_sea: sightline.Scene) -> None:
     assert simulated.platform is not None
     lifted = simulated.platform.heave_m(np.arange(0.0, 214.0, 0.1))
     model = sightline.fit(at_sea, "camera")
-    noise = model.regressor.fit_.noise
+    fitted = model.regressor.fit_
+    noise = fitted.noise
     assert noise.heave_m == pytest.approx(np.std(lifted), rel=0.25)
     assert f"rises and falls by {noise.heave_m:.2f} m" in " ".join(model.report.statements)
-    # Without it the rows would be off by what the annotator is, and the horizon.
+    # Without it the rows would be off by what the annotator is, and the horizon. What the log's
+    # drift takes of that is little where boxes are: the whole of a row's error is as simulated.
     assert noise.row_m < 0.1
-    assert noise.row_px == pytest.approx(np.hypot(1.0, 0.5), rel=0.25)
+    per_metre = model.camera.focal_px / fitted.typical_range_m
+    whole = np.hypot(noise.row_px, per_metre * np.hypot(noise.heave_m, noise.row_m))
+    simulated_px = np.hypot(np.hypot(1.0, 0.5), per_metre * np.std(lifted))
+    assert whole == pytest.approx(simulated_px, rel=0.2)
     # It is in the ellipse of a box: as if its foot were as much too high or low.
     camera = model.camera
     box = np.array([[630.0, 380.0, 650.0, camera.horizon_y_px([640.0])[0] + 60.0]])
-    down = np.radians(camera.pitch_deg) + np.arctan((box[0, 3] - 360.0) / camera.focal_px)
-    foot_m = camera.height_m / np.tan(down)
+    off_axis = (box[0, 3] - 360.0 - camera.principal_dy_px) / camera.focal_px
+    down = np.tan(np.radians(camera.pitch_deg) + np.arctan(off_axis))
+    # The water falls away: down * d = height + curvature * d**2 / 2 R.
+    bent = camera.curvature / (2.0 * EARTH_RADIUS_M)
+    foot_m = (down - np.sqrt(down**2 - 4.0 * bent * camera.height_m)) / (2.0 * bent)
+    per_metre_up = 1.0 / (down - 2.0 * bent * foot_m)
     still = replace(
         model, regressor=CameraRegressor.from_state(*_without_heave(model.regressor.state()))
     )
@@ -343,7 +352,7 @@ def test_heave_is_told_from_errors_of_the_log(at_sea: sightline.Scene) -> None:
     at = model.locate_body(box)
     sight = np.array([at.starboard_m[0], at.ahead_m[0]])
     sight /= np.hypot(*sight)
-    expected = (foot_m * noise.heave_m / camera.height_m) ** 2
+    expected = (noise.heave_m * per_metre_up) ** 2
     assert sight @ (more - less) @ sight == pytest.approx(expected, rel=0.1)
 
 

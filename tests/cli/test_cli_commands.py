@@ -352,7 +352,7 @@ def test_demo_runs_the_whole_way(
 
     monkeypatch.setattr(sys.modules["sightline.simulation.simulate"], "simulate", small)
     out = tmp_path / "demo"
-    done = sightline("demo", "-o", out, "--duration", 3, "--json", tmp_path / "d.json")
+    done = sightline("demo", "-o", out, "--duration", 4, "--json", tmp_path / "d.json")
     assert (done.status, done.err) == (0, "")
     report = out / "results" / "report.html"
     assert f"Open {report} in a browser." in done.out

@@ -20,9 +20,8 @@ from numpy.polynomial import legendre
 
 from sightline.association.observations import TrackObservations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
-from sightline.association.search import RecordingObservations, clutter_per_px2
+from sightline.association.search import ROUGH_CAMERA, RecordingObservations, clutter_per_px2
 from sightline.camera.parameters import HEADING
-from sightline.camera.priors import CameraPrior
 from sightline.types import FloatArray, IntArray
 
 SURE = 0.5
@@ -159,7 +158,7 @@ def _apart(found: list[Match]) -> list[Match]:
 
 def cost(found: Explanation, largest_offset_s: float, image_size_px: tuple[int, int]) -> float:
     """Occam factor of the parameters of an explanation, in nats."""
-    mean, sigma = CameraPrior(k1_sigma=0.2).moments(image_size_px, 0, 0, position_known=True)
+    mean, sigma = ROUGH_CAMERA.moments(image_size_px, 0, 0, position_known=True)
     camera = found.vector.size
     offsets = found.offset_s.size
     anywhere = 2.0 * max(largest_offset_s, 1e-3) / np.sqrt(12.0)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.association.search import (
+    ROUGH_CAMERA,
     Candidate,
     RecordingObservations,
     clutter_per_px2,
@@ -21,6 +22,7 @@ from sightline.association.search import (
 )
 from sightline.camera.parameters import (
     CAMERA,
+    CURVATURE,
     EAST,
     HEADING,
     K1,
@@ -31,6 +33,8 @@ from sightline.camera.parameters import (
     PARAMETERS,
     PITCH,
     POSITION,
+    PRINCIPAL_DX,
+    PRINCIPAL_DY,
     ROLL,
     camera_vector,
 )
@@ -64,6 +68,9 @@ _LONGEST_STEP = camera_vector(
         K2: 0.05,
         EAST: 2.0,
         NORTH: 2.0,
+        PRINCIPAL_DX: 1.0,
+        PRINCIPAL_DY: 1.0,
+        CURVATURE: 0.1,
     }
 )
 
@@ -137,9 +144,7 @@ class Refiner:
         self.watches = tuple(watches)
         self.image_size_px = image_size_px
         self.largest_offset_s = largest_offset_s
-        mean, sigma = (prior or CameraPrior(k1_sigma=0.2)).moments(
-            image_size_px, 0, 0, position_known=True
-        )
+        mean, sigma = (prior or ROUGH_CAMERA).moments(image_size_px, 0, 0, position_known=True)
         self._mean = np.concatenate([mean[CAMERA], np.zeros(len(watches))])
         alone = len(watches) == 1
         held_s = max(largest_offset_s, 1e-3) if alone else min(CLOCKS_ALIKE_S, largest_offset_s)

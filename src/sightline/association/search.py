@@ -17,12 +17,23 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from sightline.association.observations import TrackObservations
-from sightline.camera.parameters import HEADING, K1, LOG_FOCAL, LOG_HEIGHT, PITCH, camera_vector
+from sightline.camera.parameters import (
+    CURVATURE,
+    HEADING,
+    K1,
+    LOG_FOCAL,
+    LOG_HEIGHT,
+    PITCH,
+    camera_vector,
+)
 from sightline.camera.priors import CameraPrior
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import FloatArray, IntArray
 
 HEADING_STEP_DEG = 2.0
+ROUGH_CAMERA = CameraPrior(k1_sigma=0.2, principal_sigma_widths=1e-4, curvature=(6.0 / 7.0, 1e-3))
+"""Prior of the camera by which vessels are recognised: its principal point and the curvature are
+as good as known, since they would only bend it to wrong explanations. Any lens is tried."""
 PITCH_STEP_DEG = 1.0
 _PITCHES_DEG = (-20.0, 31.0)
 _HEIGHTS_M = (2.0, 3.2, 5.0, 8.0, 13.0, 22.0, 40.0)
@@ -71,7 +82,7 @@ class Candidate:
     """An initial camera with clock offsets.
 
     Attributes:
-        vector: (9,) as in `sightline.camera.parameters.PARAMETERS`.
+        vector: (12,) as in `sightline.camera.parameters.PARAMETERS`.
         offset_s: (R,) of each recording's clock: what is to be added to it. The recordings of a
             camera have a clock, so that they begin alike.
         votes: How many votes it has.
@@ -144,7 +155,7 @@ def candidates(
             more = smooth > total[lens, height]
             total[lens, height][more] = smooth[more]
             which[lens, height][more] = number
-    prior = CameraPrior()
+    prior = ROUGH_CAMERA
     heights = -0.5 * (np.log(np.array(_HEIGHTS_M) / prior.height_m) / prior.log_height_sigma) ** 2
     focal = np.array([focal for focal, _ in lenses]) / (prior.focal_widths * image_size_px[0])
     longs = -0.5 * (np.log(focal) / prior.log_focal_sigma) ** 2
@@ -179,6 +190,7 @@ def candidates(
                         HEADING: np.radians(heading),
                         LOG_FOCAL: np.log(focal_px),
                         K1: k1,
+                        CURVATURE: prior.curvature[0],
                     }
                 ),
                 offset_s=np.full(len(watches), offsets[which[lens, height, i, j]]),

@@ -24,6 +24,7 @@ from sightline.camera.parameters import (
     CAMERA,
     EAST,
     HEADING,
+    LOG_HEIGHT,
     NORTH,
     PARAMETERS,
     TARGET,
@@ -41,6 +42,8 @@ _OUTLIER = 4.0
 # smooth and no residual is large enough to be cut off.
 _WIDE = 20.0
 _KNOWN_AT = 0.7
+# Of a logarithm: a height of which less is known than a factor of two is open.
+_HEIGHT_SIGMA = 0.7
 # Clocks that are further off than this are not what people call right.
 _RIGHT_S = 1.5
 # Ends as near as this to one another, as a share of a prior's width, are one.
@@ -125,15 +128,17 @@ class CameraFit:
         return float(np.sqrt((0.5 * prior + np.sum(scatter)) / (0.5 + count)))
 
     def determined(self) -> BoolArray:
-        """(9,) bool: whether the data, not the prior, determines each of `PARAMETERS`.
+        """(12,) bool: whether the data, not the prior, determines each of `PARAMETERS`.
 
         A parameter counts as determined where its standard deviation is less than 0.7 of what it
         was before any data: an angle without a prior where it is known to 10 degrees, a position
-        where it is known to within a quarter of the camera's distance to what it saw.
+        where it is known to within a quarter of the camera's distance to what it saw, a height
+        where it is known to a factor of 1.6, however vague the prior.
         """
         sigma = np.sqrt(np.diag(self.covariance)[CAMERA])
         prior = self.prior_sigma[CAMERA].copy()
         prior[HEADING] = np.radians(10.0) / _KNOWN_AT
+        prior[LOG_HEIGHT] = min(prior[LOG_HEIGHT], _HEIGHT_SIGMA)
         prior[np.isinf(prior)] = 0.25 * self.typical_range_m / _KNOWN_AT
         return np.asarray(sigma < _KNOWN_AT * prior)
 

@@ -72,7 +72,7 @@ def evaluate(
 
         >>> report = sightline.evaluate("tracks.geojson", fixes="target.gpx")
         >>> print(f"{report.ape.rmse:.0f} m RMSE")
-        4 m RMSE
+        6 m RMSE
         >>> model = sightline.load("model.safetensors")
         >>> sightline.evaluate("scene.toml", model=model).ape.n
         162
@@ -409,7 +409,7 @@ def compare(
         >>> comparison, located = sightline.compare(scene, ["camera", "qkr"])
         >>> for name, report in comparison.models.items():
         ...     print(f"{name}: {report.ape.n} boxes, {report.ape.rmse:.0f} m RMSE")
-        camera: 162 boxes, 10 m RMSE
+        camera: 162 boxes, 9 m RMSE
         qkr: 162 boxes, 25 m RMSE
         >>> [one.recording for one in located["camera"]]
         ['01', '02', '03']

@@ -111,7 +111,7 @@ def run(
         >>> {name: len(tracks) for name, tracks in result.tracks.items()}
         {'01': 1, '02': 1, '03': 1}
         >>> result.left_out, round(result.smoothed.ape.rmse)
-        (('01', '02', '03'), 10)
+        (('01', '02', '03'), 8)
     """
     settings = settings or TrackSettings()
     settings = replace(
