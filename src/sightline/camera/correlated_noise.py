@@ -375,9 +375,7 @@ class Whitening:
             and of their times, by their names.
         """
         noise = self._noise
-        by_variance = 1.0 / self.variance_px2 - np.einsum(
-            "nik,kl,nil->ni", solved, covariance, solved, optimize=True
-        )
+        by_variance = 1.0 / self.variance_px2 - np.sum((solved @ covariance) * solved, axis=2)
         by_variance -= weights**2
         out = dict.fromkeys(
             (
@@ -412,9 +410,7 @@ class Whitening:
             out["lasting_column_px"] += columns * float(np.vdot(column, lasting))
             out["lasting_row_px"] += rows * float(np.vdot(row, lasting))
             out["lasting_time_s"] += 0.5 * float(np.vdot(columns * column + rows * row, slope))
-            together = np.einsum(
-                "iajb,iajb->ij", four, self.turned(block).reshape(n, 2, n, 2), optimize=True
-            )
+            together = (inner * self.turned(block)).reshape(n, 2, n, 2).sum(axis=(1, 3))
             out["correlated_m"] += float(np.vdot(together, kernel))
             out["correlation_time_s"] += (
                 0.5

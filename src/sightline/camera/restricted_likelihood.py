@@ -27,6 +27,8 @@ _LASTING = (
     "lasting_column_px",
     "lasting_time_s",
 )
+# A step that gains less than this tells nothing.
+_ENOUGH_NATS = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,13 +148,15 @@ def most_probable_noise(
         gradient = [slopes[name] + slope for name, (_, slope) in zip(names, beliefs, strict=True)]
         return value, np.array(gradient)
 
+    start = [prior.start(getattr(before, name)) for prior, name in zip(priors, names, strict=True)]
+    size = max(abs(negative_log(np.array(start))[0]), 1.0)
     best = minimize(
         negative_log,
-        [prior.start(getattr(before, name)) for prior, name in zip(priors, names, strict=True)],
+        start,
         jac=True,
         method="L-BFGS-B",
         bounds=[prior.bounds for prior in priors],
-        options={"maxiter": 25, "ftol": 1e-6},
+        options={"maxiter": 25, "ftol": _ENOUGH_NATS / size},
     )
     found = noise_at(best.x)
     # Where no two fixes are near in time, correlated noise cannot be estimated.
