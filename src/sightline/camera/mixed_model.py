@@ -33,6 +33,7 @@ from sightline.camera.parameters import (
     NORTH,
     PITCH,
     POSITION,
+    PRINCIPAL_DX,
     SOURCE_PARAMETERS,
     TARGET,
     ParameterLayout,
@@ -177,9 +178,10 @@ class MixedModel:
             # The places are those at the clocks that the fit begins with.
             vector[self.layout.clocks] = 0.0
             if i or not self.position_known:
-                vector[LOG_HEIGHT] += rng.normal(0.0, 0.8)
-                vector[PITCH] += rng.normal(0.0, np.radians(8.0))
-                vector[LOG_FOCAL] += rng.normal(0.0, 0.6)
+                # What is known well is no matter of chance.
+                vector[LOG_HEIGHT] += rng.normal(0.0, min(0.8, self.sigma[LOG_HEIGHT]))
+                vector[PITCH] += rng.normal(0.0, min(np.radians(8.0), self.sigma[PITCH]))
+                vector[LOG_FOCAL] += rng.normal(0.0, min(0.6, 2.0 * self.sigma[LOG_FOCAL]))
             if not self.position_known:
                 angle = 2.0 * np.pi * (i + rng.uniform()) / count
                 distance = self.spread * np.exp(rng.uniform(0.0, 1.6))
@@ -188,10 +190,14 @@ class MixedModel:
             bearing = np.arctan2(
                 self.sightings.east_m - vector[EAST], self.sightings.north_m - vector[NORTH]
             )
-            from_middle = self.sightings.pixel_px[:, 0] - 0.5 * self.image_size_px[0]
+            middle_px = 0.5 * self.image_size_px[0] + vector[PRINCIPAL_DX]
+            from_middle = self.sightings.pixel_px[:, 0] - middle_px
             across = np.arctan(from_middle / np.exp(vector[LOG_FOCAL]))
             turn = bearing - across
-            vector[HEADING] = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            seen = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            # Of the full turns that are one heading, that by the prior's.
+            off = seen - self.mean[HEADING]
+            vector[HEADING] = self.mean[HEADING] + np.arctan2(np.sin(off), np.cos(off))
             out.append(vector)
         return out
 

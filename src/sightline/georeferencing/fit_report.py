@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
+from sightline.camera.stated import StatedCamera
 from sightline.clock_offset import ClockOffset, RecordingClock
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Correspondences
@@ -185,6 +186,7 @@ def fit_report(
     control_points: int,
     *,
     clocks: Mapping[str, RecordingClock],
+    stated: StatedCamera | None = None,
 ) -> FitReport:
     """The report of a fit.
 
@@ -195,6 +197,7 @@ def fit_report(
         places: (N, 2) metres east and north, where it puts their boxes.
         control_points: How many it learned from.
         clocks: What was known of the recordings' clocks before the fit.
+        stated: What was known of the camera. Absent: nothing.
     """
     error = np.hypot(*(places - pairs.east_north_m).T)
     certain = error[pairs.certain_rows()]
@@ -206,6 +209,9 @@ def fit_report(
         leverage, outlier = regressor.fit_.leverage[:n], regressor.fit_.outlier[:n]
         residual = np.hypot(*regressor.fit_.residual_px[:n].T)
         more = _camera_report(regressor, pairs, control_points, outlier)
+        told = [PARAMETERS[slot] for slot in (stated or StatedCamera()).parameters]
+        undetermined = _undetermined(more["parameters"], told)
+        more["statements"] = (*undetermined, *more["statements"])
     report = FitReport(
         model=model,
         n=n,
@@ -287,24 +293,32 @@ def _camera_report(
     return {
         "parameters": tuple(parameters),
         "sources": tuple(sources),
-        "statements": _statements(parameters, fitted, pairs, control_points, outlier),
+        "statements": _statements(fitted, pairs, control_points, outlier),
     }
 
 
+def _undetermined(parameters: Sequence[Parameter], told: Sequence[str]) -> list[str]:
+    """What is to be said of parameters that the data does not determine."""
+    unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
+    usual, stated = ([n for n in unknown if (n in told) == known] for known in (False, True))
+    out = []
+    if usual:
+        out.append(
+            f"The data does not determine {', '.join(usual)}: what is assumed of an ordinary "
+            "camera decides, and positions away from the training boxes are unsurer for it."
+        )
+    if stated:
+        out.append(f"The data says little of {', '.join(stated)}: what the scene states decides.")
+    return out
+
+
 def _statements(
-    parameters: list[Parameter],
     fitted: CameraFit,
     pairs: Correspondences,
     control_points: int,
     outlier: BoolArray,
 ) -> tuple[str, ...]:
     out = []
-    unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
-    if unknown:
-        out.append(
-            f"The data does not determine {', '.join(unknown)}: what is assumed of an ordinary "
-            "camera decides, and positions away from the training boxes are unsurer for it."
-        )
     if fitted.noise.heave_m > 0.0:
         share = fitted.noise.heave_m / fitted.camera.height_m
         out.append(

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline import formats, video
+from sightline.camera.stated import SLOTS, StatedCamera, stated_camera
 from sightline.clock import Clock, OffsetClock, presentation_clock
 from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
 from sightline.errors import InputError, unknown_name
@@ -52,6 +53,7 @@ class CameraSite:
         longitude_deg: Degrees east; None if it is not known.
         image_size_px: Width and height; None where the scene file leaves that to the video.
         compensate_rotation: Whether camera rotation seen in the frames is compensated.
+        stated: What else the scene file states of the camera.
     """
 
     name: str = ""
@@ -59,6 +61,7 @@ class CameraSite:
     longitude_deg: float | None = None
     image_size_px: tuple[int, int] | None = None
     compensate_rotation: bool = True
+    stated: StatedCamera = field(default_factory=StatedCamera)
 
     @property
     def place_deg(self) -> tuple[float, float] | None:
@@ -317,6 +320,7 @@ class Scene:
             longitude_deg=table.camera.longitude_deg,
             image_size_px=(size[0], size[1]) if size else None,
             compensate_rotation=table.camera.compensate_rotation,
+            stated=stated_camera({key: getattr(table.camera, key) for key in SLOTS}),
         )
         names = [recording.name for recording in table.recordings]
         for name in names:

@@ -13,6 +13,7 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -20,6 +21,8 @@ from pydantic import (
 from sightline.errors import InputError, no_scene_file
 
 _LONGEST = 80
+# A picture that is cut out of a larger one may lie far from the axis, but not so far.
+_FARTHEST_PX = 1e5
 
 Latitude = Annotated[float, Field(ge=-90.0, le=90.0)]
 
@@ -36,6 +39,19 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
+STATED = {
+    "height_m": (0.0, 9000.0, "metres above the water or the road", "12.0, 0.5"),
+    "horizontal_fov_deg": (0.0, 180.0, "degrees from edge to edge", "62.0, 2.0"),
+    "focal_px": (0.0, 1e6, "pixels", "940.0, 20.0"),
+    "heading_deg": (-360.0, 360.0, "degrees clockwise from north", "215.0, 3.0"),
+    "pitch_deg": (-90.0, 90.0, "degrees below the horizontal", "4.0, 1.0"),
+    "roll_deg": (-90.0, 90.0, "degrees, positive where the right end is lower", "0.5, 0.5"),
+    # Sight lines bend with the water by up to all of its curvature, and away from it by its half.
+    "effective_earth_radius_m": (3e6, 1e12, "metres, 7.43e6 as a rule", "7.4e6, 5e5"),
+}
+"""What may be stated of a camera: between which values, in what, and an example."""
+
+
 class CameraTable(Table):
     """`[camera]`."""
 
@@ -46,6 +62,50 @@ class CameraTable(Table):
     compensate_rotation: bool = Field(
         default=True, validation_alias=AliasChoices("compensate_rotation", "watched")
     )
+    height_m: float | list[float] | None = None
+    horizontal_fov_deg: float | list[float] | None = None
+    focal_px: float | list[float] | None = None
+    heading_deg: float | list[float] | None = None
+    pitch_deg: float | list[float] | None = None
+    roll_deg: float | list[float] | None = None
+    principal_point_px: list[float] | None = None
+    effective_earth_radius_m: float | list[float] | None = None
+
+    @field_validator(*STATED)
+    @classmethod
+    def _of_a_camera(
+        cls, given: float | list[float] | None, info: ValidationInfo
+    ) -> float | list[float] | None:
+        if given is None:
+            return None
+        low, high, unit, example = STATED[info.field_name or ""]
+        values = given if isinstance(given, list) else [given]
+        if isinstance(given, list) and (len(given) != 2 or not 0.0 < given[1] <= high):
+            raise ValueError(
+                f"give {unit}, or that and its standard deviation, [{example}]; it is {given!r}"
+            )
+        if not low < values[0] < high:
+            raise ValueError(f"give {unit}, between {low:g} and {high:g}; it is {values[0]:g}")
+        return given
+
+    @field_validator("principal_point_px")
+    @classmethod
+    def _of_a_lens(cls, given: list[float] | None) -> list[float] | None:
+        if given is None:
+            return None
+        usable = len(given) in (2, 3) and max(map(abs, given)) < _FARTHEST_PX
+        if not usable or (len(given) == 3 and not given[2] > 0.0):
+            raise ValueError(
+                "give the column and the row of the optical axis, px, or these and their standard "
+                f"deviation, [640, 360, 20]; it is {given!r}"
+            )
+        return given
+
+    @model_validator(mode="after")
+    def _one_focal_length(self) -> Self:
+        if self.horizontal_fov_deg is not None and self.focal_px is not None:
+            raise ValueError("give horizontal_fov_deg or focal_px, not both")
+        return self
 
     @model_validator(mode="after")
     def _whole_place(self) -> Self:
