@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sightline.camera.mixed_model import MixedModel
+from sightline.camera.observations import NO_SOURCE, PointCorrespondences
+from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior
 from sightline.camera.stated import horizontal_fov_deg, stated_camera
@@ -22,7 +25,8 @@ pytestmark = pytest.mark.slow
 
 SIZE = (1280, 720)
 LATITUDE, LONGITUDE = 54.0, 10.0
-METRES_A_DEGREE = 111_320.0
+# Of WGS 84 at 54 degrees north.
+LATITUDE_M, LONGITUDE_M = 111_305.0, 65_576.0
 TRUE = Camera(
     height_m=9.0,
     pitch_deg=4.0,
@@ -62,6 +66,7 @@ def write_scene(
     *,
     ranges_m: tuple[float, ...] = RANGES_M,
     seed: int = 0,
+    points: str = "",
 ) -> Path:
     """A scene of boats that pass at some ranges, seen by a camera to a pixel."""
     rng = np.random.default_rng([seed, 17])
@@ -85,18 +90,18 @@ def write_scene(
         seen = (foot > 0.0).all(axis=1) & (foot < SIZE).all(axis=1)
         start = 1_700_000_000.0 + 1000.0 * number
         boxes = ["frame,x1,y1,x2,y2,time_utc"]
-        for i in np.flatnonzero(seen):
+        for i in np.flatnonzero(seen).tolist():
             (x, y), half = foot[i], 0.5 * width[i]
             boxes.append(
                 f"{i},{x - half:.2f},{y - 0.4 * width[i]:.2f},{x + half:.2f},{y:.2f},{start + i}"
             )
         (folder / f"boxes{number}.csv").write_text("\n".join(boxes) + "\n")
         off = rng.normal(0.0, 0.5, 2)
-        scale = METRES_A_DEGREE * np.cos(np.radians(LATITUDE))
         fixes = ["time_utc,latitude_deg,longitude_deg"]
         for i in range(len(path)):
-            latitude = LATITUDE + (north[i] + off[1]) / METRES_A_DEGREE
-            fixes.append(f"{start + i},{latitude:.8f},{LONGITUDE + (east[i] + off[0]) / scale:.8f}")
+            latitude = LATITUDE + (north[i] + off[1]) / LATITUDE_M
+            longitude = LONGITUDE + (east[i] + off[0]) / LONGITUDE_M
+            fixes.append(f"{start + i},{latitude:.8f},{longitude:.8f}")
         (folder / f"log{number}.csv").write_text("\n".join(fixes) + "\n")
         lines += [
             "[[recordings]]",
@@ -105,7 +110,7 @@ def write_scene(
             f'fixes = "log{number}.csv"',
         ]
     out = folder / "scene.toml"
-    out.write_text("\n".join(lines) + "\n")
+    out.write_text("\n".join([*lines, points]) + "\n")
     return out
 
 
@@ -116,9 +121,10 @@ def fitted(
     camera: Camera = TRUE,
     ranges_m: tuple[float, ...] = RANGES_M,
     seed: int = 0,
+    points: str = "",
 ) -> Georeferencer:
     folder.mkdir(exist_ok=True)
-    path = write_scene(folder, camera, stated, ranges_m=ranges_m, seed=seed)
+    path = write_scene(folder, camera, stated, ranges_m=ranges_m, seed=seed, points=points)
     return fit(Scene.load(path), "camera")
 
 
@@ -138,7 +144,7 @@ def contradictions(report: FitReport) -> list[str]:
         ("height_m = [9.0, 0.05]", "height_m", 9.0, 0.05),
         ("focal_px = [1100, 5]", "focal_px", 1100.0, 5.0),
         ("pitch_deg = [4.0, 0.1]", "pitch_deg", 4.0, 0.1),
-        ("heading_deg = [-8.0, 0.1]", "heading_deg", 352.0, 0.1),
+        ("heading_deg = [352.0, 0.1]", "heading_deg", 352.0, 0.1),
         ("principal_point_px = [640, 360, 0.5]", "principal_dx_px", 0.0, 0.5),
         # Of 7/5 of the earth's radius 5/7 of its curvature is left.
         ("effective_earth_radius_m = [8.92e6, 8.92e4]", "curvature", 5.0 / 7.0, 0.01),
@@ -235,6 +241,65 @@ def test_a_picture_that_was_cut_out_of_another_larger_one(tmp_path: Path) -> Non
     assert report.rmse_m < 0.7 * without.rmse_m
 
 
+def test_starts_look_where_the_picture_was_cut_out() -> None:
+    cut = replace(TRUE, principal_dx_px=900.0, heading_deg=30.0, k1=0.0)
+    pixel = np.array([(x, y) for x in (200.0, 640.0, 1100.0) for y in (450.0, 600.0)])
+    east, north = cut.locate(pixel)
+    sightings = PointCorrespondences(
+        pixel_px=pixel,
+        east_m=east,
+        north_m=north,
+        source=np.full(6, NO_SOURCE),
+        group=np.arange(6),
+        velocity_mps=np.zeros((6, 2)),
+        sigma_m=np.full(6, 0.1),
+    )
+    stated = stated_camera({"principal_point_px": [1540.0, 360.0], "focal_px": 1100.0})
+    prior = stated.prior(CameraPrior(), SIZE)
+    model = MixedModel(sightings, SIZE, 0, prior, True, None)
+    (start,) = model.starts(1, np.random.default_rng(0))
+    assert np.degrees(start[HEADING]) == pytest.approx(30.0, abs=3.0)
+
+
+def test_a_picture_that_was_cut_out_has_the_focal_length_of_the_whole() -> None:
+    """The left half of a picture of 2560 px, of whose width a usual focal length is a share."""
+    half = stated_camera({"principal_point_px": [1280.0, 360.0]}).prior(CameraPrior(), SIZE)
+    usual = CameraPrior()
+    assert half.focal_widths * 1280.0 == pytest.approx(usual.focal_widths * 2560.0)
+    assert half.principal_sigma_widths * 1280.0 == pytest.approx(
+        usual.principal_sigma_widths * 2560.0
+    )
+
+
+def test_control_points_beside_boxes_have_their_own_residuals(tmp_path: Path) -> None:
+    """Five where the camera sees them, and one that the scene states 40 m too far north."""
+    east, north = np.array([-40.0, -20.0, 5.0, -70.0, 15.0, -10.0]), np.full(6, 120.0)
+    pixel = TRUE.project(east, north)
+    north[4] += 40.0
+    tables = [
+        f"[[control_points]]\npixel_px = [{x:.2f}, {y:.2f}]\n"
+        f"latitude_deg = {LATITUDE + n / LATITUDE_M:.9f}\n"
+        f"longitude_deg = {LONGITUDE + e / LONGITUDE_M:.9f}"
+        for (x, y), e, n in zip(pixel.tolist(), east.tolist(), north.tolist(), strict=True)
+    ]
+    report = fitted(tmp_path, points="\n".join(tables)).report
+    assert report.n > 200
+    assert report.control_points == len(report.points) == 6
+    assert [point.number for point in report.points if point.outlier] == [5]
+    for point, x, y in zip(report.points, *pixel.T.tolist(), strict=True):
+        assert (point.x_px, point.y_px) == (pytest.approx(x, abs=0.01), pytest.approx(y, abs=0.01))
+        if point.number != 5:
+            assert point.residual_px < 8.0
+            assert point.error_m < 8.0
+    # It looks as far off as the two places lie apart in the picture.
+    apart = np.hypot(*(pixel[4] - TRUE.project(east[4:5], north[4:5])[0]))
+    assert report.points[4].residual_px == pytest.approx(apart, rel=0.2)
+    assert report.points[4].error_m == pytest.approx(40.0, rel=0.2)
+    told = [said for said in report.statements if "control points disagree" in said]
+    assert len(told) == 1
+    assert told[0].startswith("1 of 6 control points disagree with all others and count little (5")
+
+
 def write_alike(folder: Path, text: str) -> Scene:
     (folder / "boxes.csv").write_text("frame,x1,y1,x2,y2,time_utc\n0,1,1,2,2,1e9\n")
     path = folder / "scene.toml"
@@ -249,9 +314,8 @@ def test_keys_of_a_scene(tmp_path: Path) -> None:
     scene = write_alike(tmp_path, "height_m = 12\nroll_deg = [0.5, 0.25]\nheading_deg = -30")
     stated = scene.camera.stated
     assert stated.keys == ("height_m", "heading_deg", "roll_deg")
-    assert stated.height_m == (12.0, pytest.approx(1.2))
-    assert stated.roll_deg == (0.5, 0.25)
-    assert stated.heading_deg == (-30.0, 5.0)
+    values = [stated.height_m, stated.roll_deg, stated.heading_deg]
+    np.testing.assert_allclose(np.array(values), [(12.0, 1.2), (0.5, 0.25), (-30.0, 5.0)])
 
 
 def test_a_field_of_view_is_that_of_the_whole_picture() -> None:

@@ -320,7 +320,7 @@ def _fit_once(
         model,
         pairs,
         placed.east_north_m,
-        len(control),
+        observed.control_points,
         clocks=inputs.clocks,
         stated=inputs.stated,
     )

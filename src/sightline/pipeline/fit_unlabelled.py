@@ -15,6 +15,7 @@ from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
+from sightline.camera.stated import StatedCamera
 from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, RecordingClock
 from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError
@@ -448,6 +449,8 @@ def update_scene(
         tidal=scene.tidal,
         static_intervals=static_intervals,
         landmarks=landmarks,
+        # All else was told to the model; refraction is another on another day.
+        stated=StatedCamera(effective_earth_radius_m=scene.camera.stated.effective_earth_radius_m),
         clocks=clocks,
         name=str(scene.path),
     )
