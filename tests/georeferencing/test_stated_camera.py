@@ -241,6 +241,14 @@ def test_a_picture_that_was_cut_out_of_another_larger_one(tmp_path: Path) -> Non
     assert report.rmse_m < 0.7 * without.rmse_m
 
 
+@pytest.mark.parametrize("heading_deg", [352.0, -8.0, 358.0])
+def test_a_heading_just_west_of_north(tmp_path: Path, heading_deg: float) -> None:
+    """However the full turns are counted, it is the same."""
+    report = fitted(tmp_path, f"heading_deg = {heading_deg}").report
+    assert value_of(report, "heading_deg")[0] == pytest.approx(352.0, abs=0.5)
+    assert value_of(report, "height_m")[0] == pytest.approx(9.0, abs=0.5)
+
+
 def test_starts_look_where_the_picture_was_cut_out() -> None:
     cut = replace(TRUE, principal_dx_px=900.0, heading_deg=30.0, k1=0.0)
     pixel = np.array([(x, y) for x in (200.0, 640.0, 1100.0) for y in (450.0, 600.0)])

@@ -208,19 +208,15 @@ SLOTS: dict[str, tuple[int, ...]] = {
 """Slots of a parameter vector that each key of `StatedCamera` is about."""
 
 
-def stated_camera(
-    values: Mapping[str, float | list[float] | None], *, focal_in_pictures: bool = False
-) -> StatedCamera:
+def stated_camera(values: Mapping[str, float | list[float] | None]) -> StatedCamera:
     """Beliefs from values without standard deviations, or with them.
 
     Args:
         values: By key of `StatedCamera`: the value alone, or with its standard deviation.
-        focal_in_pictures: Whether the focal length was read from the pictures.
     """
-    of_focal = PICTURE_FOCAL_SHARE if focal_in_pictures else STATED_FOCAL_SHARE
     shares = {
         "height_m": STATED_HEIGHT_SHARE,
-        "focal_px": of_focal,
+        "focal_px": STATED_FOCAL_SHARE,
         "horizontal_fov_deg": STATED_FOCAL_SHARE,
         "effective_earth_radius_m": STATED_RADIUS_SHARE,
     }
@@ -249,7 +245,6 @@ def stated_camera(
         if isinstance(point, list)
         else None,
         effective_earth_radius_m=found.get("effective_earth_radius_m"),
-        focal_in_pictures=focal_in_pictures,
     )
 
 

@@ -153,6 +153,10 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
     if fitted.camera is None:
         return fitted
     wrong = contradictions(observed, inputs.stated, usual, seed=settings.seed)
+    if inputs.stated.focal_in_pictures and inputs.stated.focal_px is not None and not wrong:
+        focal_px, sigma_px = inputs.stated.focal_px
+        said = f"The pictures carry a focal length (EXIF): {focal_px:.0f} ± {sigma_px:.0f} px."
+        wrong = (said,)
     report = replace(fitted.report, statements=(*wrong, *fitted.report.statements))
     fitted = replace(fitted, report=report)
     if view is None:

@@ -250,7 +250,7 @@ def fit_report(
         stated = stated or StatedCamera()
         told = [PARAMETERS[slot] for slot in stated.parameters]
         undetermined = _undetermined(more["parameters"], told)
-        of_points = _on_points(points, regressor.fit_, stated)
+        of_points = _on_points(points, stated)
         more["statements"] = (*of_points, *undetermined, *more["statements"])
     errors = np.concatenate([certain, [point.error_m for point in points]])
     known = np.isfinite(errors).any()
@@ -302,7 +302,7 @@ def _points(regressor: CameraRegressor, n: int, control: Landmarks) -> tuple[Fit
     )
 
 
-def _on_points(points: Sequence[FittedPoint], fitted: CameraFit, stated: StatedCamera) -> list[str]:
+def _on_points(points: Sequence[FittedPoint], stated: StatedCamera) -> list[str]:
     """What is to be said of control points that lie elsewhere than the camera sees them."""
     out = []
     wrong = [point for point in points if point.outlier]

@@ -22,8 +22,8 @@ from sightline.camera.parameters import (
     LOG_FOCAL,
     LOG_HEIGHT,
     PITCH,
-    PRINCIPAL,
     POSITION,
+    PRINCIPAL,
     ROLL,
 )
 from sightline.camera.pinhole import project_with_jacobian

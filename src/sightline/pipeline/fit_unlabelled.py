@@ -316,7 +316,7 @@ def fit_association(
         static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
         statements=_on_leaps(association, scene, plane),
-        stated=scene.camera.stated,
+        stated=scene.stated,
         clocks=_clocks_of(association, scene),
         name=str(scene.path),
     )

@@ -59,7 +59,7 @@ def settle_clocks(scene: Scene, plane: LocalPlane, prior: CameraPrior | None = N
     control = scene.control_points
     places = np.stack(plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1)
     known = scene.plane is not None or scene.moves
-    stated = replace(scene.camera.stated, heading_deg=None)
+    stated = replace(scene.stated, heading_deg=None)
     beliefs = CameraBeliefs(
         image_size_px=scene.image_size_px,
         n_sources=len(sources),

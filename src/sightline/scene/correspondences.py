@@ -63,7 +63,7 @@ def collect(
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         statements=_on_leaps(scene, pairs.plane),
-        stated=scene.camera.stated,
+        stated=scene.stated,
         clocks=scene_clocks(scene),
         name=str(scene.path),
     )

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline import formats, video
-from sightline.camera.stated import SLOTS, StatedCamera, stated_camera
+from sightline.camera.stated import PICTURE_FOCAL_SHARE, SLOTS, StatedCamera, stated_camera
 from sightline.clock import Clock, OffsetClock, presentation_clock
 from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
 from sightline.errors import InputError, unknown_name
@@ -357,6 +357,25 @@ class Scene:
         return LocalPlane(self.camera.latitude_deg, self.camera.longitude_deg)
 
     @property
+    def stated(self) -> StatedCamera:
+        """What the scene file states of the camera, and the focal length that its pictures carry.
+
+        Of pictures that were cut out of others, or of which the file states it, it is not asked.
+        """
+        stated = self.camera.stated
+        cut = stated.principal_point_px is not None
+        if stated.focal_px is not None or stated.horizontal_fov_deg is not None or cut:
+            return stated
+        for recording in self.recordings:
+            if recording.frames_path is not None:
+                changed_ns = recording.frames_path.stat().st_mtime_ns
+                focal_px = _focal_length_px(recording.frames_path, changed_ns)
+                if focal_px is not None:
+                    sigma_px = PICTURE_FOCAL_SHARE * focal_px
+                    return replace(stated, focal_px=(focal_px, sigma_px), focal_in_pictures=True)
+        return stated
+
+    @property
     def moves(self) -> bool:
         """Whether the camera is on a moving platform.
 
@@ -517,6 +536,15 @@ def _clock(path: Path, _modified_ns: int) -> Clock:
 @lru_cache(maxsize=128)
 def _video_info(path: Path, _modified_ns: int) -> video.VideoInfo:
     return video.video_info(path)
+
+
+@lru_cache(maxsize=128)
+def _focal_length_px(folder: Path, _modified_ns: int) -> float | None:
+    try:
+        first = next(iter(video.numbered_pictures(folder).values()))
+    except InputError:
+        return None
+    return video.focal_length_px(first)
 
 
 def _recording(
