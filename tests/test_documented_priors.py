@@ -25,7 +25,7 @@ def numbers_of_the_code() -> dict[str, tuple[float, ...]]:
     }
     for name in ("BEAM_SHARE", "USUAL_SPREAD", "_WIDTH_SIGMA"):
         out[name] = (getattr(target_sizes, name),)
-    for name in ("_SIZE_SHARE", "_MIDDLE_SIGMA_M", "_MIDDLE_SHARE"):
+    for name in ("_SIZE_SHARE", "_STATED_SIZE_SHARE", "_MIDDLE_SIGMA_M", "_MIDDLE_SHARE"):
         out[name] = (getattr(mixed_model, name),)
     for name in vars(stated):
         if name.startswith("STATED_") or name == "PICTURE_FOCAL_SHARE":

@@ -23,6 +23,7 @@ from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.plausibility import check_near, check_together
+from sightline.scene.hull import Hull
 from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
@@ -91,6 +92,7 @@ class Recording:
         water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
         camera_place_deg: Latitude and longitude of the camera where the scene file says them.
+        hull: What is stated of the hull of the target that was logged.
         clock_offset_s: How far the camera's clock is taken to be ahead of the log's: it is taken
             off all times of frames and boxes, which are then in the log's time.
         clock_prior: What was believed of that offset before any data.
@@ -112,6 +114,7 @@ class Recording:
     water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
     camera_place_deg: tuple[float, float] | None = None
+    hull: Hull = field(default_factory=Hull)
     clock_offset_s: float = 0.0
     clock_prior: ClockPrior = field(default_factory=ClockPrior)
     clock_found: ClockOffset | None = None
@@ -181,7 +184,7 @@ class Recording:
         return self._timed(boxes, path)
 
     def fixes(self) -> Fixes:
-        """The log of the target, as fixes.
+        """The log of the target, as fixes: of the middle of its hull, where that is known.
 
         Raises:
             InputError: The recording has none, it cannot be used, or all of it is so far from the
@@ -189,7 +192,8 @@ class Recording:
         """
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
-        fixes = _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+        changed_ns = self.fixes_path.stat().st_mtime_ns
+        fixes = _fixes(self.fixes_path, self.mmsi, self.hull, changed_ns)
         if self.camera_place_deg is not None:
             check_near(fixes, *self.camera_place_deg, str(self.fixes_path), "the camera")
         return fixes
@@ -509,8 +513,8 @@ def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
 
 # Recordings share their logs, which are long.
 @lru_cache(maxsize=32)
-def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
-    return formats.read_fixes(path, mmsi=mmsi)
+def _fixes(path: Path, mmsi: int | None, hull: Hull, _modified_ns: int) -> Fixes:
+    return hull.middle_of(formats.read_fixes(path, mmsi=mmsi))
 
 
 @lru_cache(maxsize=32)
@@ -574,6 +578,7 @@ def _recording(
         clock_offset_s=clock.mean_s,
         clock_prior=clock,
         clock_found=None,
+        hull=Hull.of(table.length_m, table.beam_m, table.antenna_m),
         **paths,
     )
 

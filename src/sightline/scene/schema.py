@@ -21,6 +21,8 @@ from pydantic import (
 from sightline.errors import InputError, no_scene_file
 
 _LONGEST = 80
+# Whole metres are stated, and of either side.
+_HULL_SHARE, _HULL_M = 0.05, 1.5
 # A picture that is cut out of a larger one may lie far from the axis, but not so far.
 _FARTHEST_PX = 1e5
 
@@ -31,6 +33,12 @@ Longitude = Annotated[float, Field(ge=-180.0, le=180.0)]
 
 
 Pixels = Annotated[int, Field(gt=0)]
+
+
+Metres = Annotated[float, Field(gt=0.0, le=600.0)]
+
+
+Aboard = Annotated[float, Field(ge=0.0, le=600.0)]
 
 
 class Table(BaseModel):
@@ -131,6 +139,9 @@ class RecordingTable(Table):
     water_level_m: float | None = None
     water_levels: str | None = None
     clock_offset_s: float | list[float] | None = None
+    length_m: Metres | None = None
+    beam_m: Metres | None = None
+    antenna_m: Annotated[list[Aboard], Field(min_length=4, max_length=4)] | None = None
 
     @field_validator("name")
     @classmethod
@@ -173,11 +184,32 @@ class RecordingTable(Table):
             )
         if self.mmsi is not None and self.fixes is None:
             raise ValueError("mmsi chooses a vessel of the log that fixes names; give fixes")
+        self._check_hull()
         if self.platform is not None and (self.water_level_m is not None or self.water_levels):
             raise ValueError("a platform floats with the water; leave its level away")
         if self.frames is None and self.video is None and not (self.boxes or self.detections):
             raise ValueError("give a video, frames, boxes or detections; there is nothing to see")
         return self
+
+    def _check_hull(self) -> None:
+        """Raise ValueError where what is stated of the hull cannot be true together."""
+        stated = (self.length_m, self.beam_m, self.antenna_m)
+        if self.fixes is None and any(one is not None for one in stated):
+            raise ValueError(
+                "length_m, beam_m and antenna_m are of the vessel that fixes names; give fixes"
+            )
+        if self.antenna_m is None:
+            return
+        bow, stern, port, starboard = self.antenna_m
+        for key, given, both in (
+            ("length_m", self.length_m, bow + stern),
+            ("beam_m", self.beam_m, port + starboard),
+        ):
+            if given is not None and abs(given - both) > _HULL_SHARE * given + _HULL_M:
+                raise ValueError(
+                    f"antenna_m is metres to bow, stern, port and starboard, which make {key} "
+                    f"{both:g}; it is {given:g}"
+                )
 
 
 class PointTable(Table):
