@@ -223,7 +223,7 @@ def test_a_refusal_says_what_is_stated_wrongly(tmp_path: Path) -> None:
 
 def test_what_is_stated_is_not_said_to_be_assumed(tmp_path: Path) -> None:
     said = fitted(tmp_path, "effective_earth_radius_m = 7.4e6").report.statements
-    assert "The data says little of curvature: what the scene states decides." in said
+    assert "What is stated decides more than the data does: curvature." in said
     assert not [one for one in said if "does not determine" in one and "curvature" in one]
 
 

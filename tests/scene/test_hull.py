@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyais
 import pytest
 
 from sightline.errors import InputError
+from sightline.formats import read_ais_vessel
 from sightline.scene import Scene
 from sightline.scene.hull import Hull
 from sightline.types import Fixes, FloatArray
@@ -98,6 +101,11 @@ def test_what_is_not_stated() -> None:
 
 
 def load(folder: Path, recording: str) -> Scene:
+    return prepared(folder, recording)()
+
+
+def prepared(folder: Path, recording: str) -> Callable[[], Scene]:
+    """A scene, to be read once the rest of its files is there."""
     (folder / "log.csv").write_text("time_utc,latitude_deg,longitude_deg\n1e9,54,10\n")
     (folder / "boxes.csv").write_text("frame,x1,y1,x2,y2,time_utc\n0,1,1,2,2,1e9\n")
     path = folder / "scene.toml"
@@ -105,14 +113,72 @@ def load(folder: Path, recording: str) -> Scene:
         '[camera]\nimage_size_px = [640, 480]\n[[recordings]]\nname = "a"\nboxes = "boxes.csv"\n'
         + recording
     )
-    return Scene.load(path)
+    return lambda: Scene.load(path)
 
 
 def test_a_scene_states_hulls(tmp_path: Path) -> None:
     text = 'fixes = "log.csv"\nlength_m = 101\nantenna_m = [80, 20, 4, 10]\n'
-    hull = load(tmp_path, text)["a"].hull
+    hull = load(tmp_path, text)["a"].hull()
     assert hull.size_m == (101.0, 14.0)
     assert (hull.ahead_m, hull.starboard_m) == (30.0, 3.0)
+
+
+SIDES = ("to_bow", "to_stern", "to_port", "to_starboard")
+
+
+def sentences(mmsi: int, *static: dict[str, object]) -> str:
+    """A vessel that goes north at 5 m/s, with its static reports among those of its place."""
+    lines = []
+    for i in range(60):
+        told: list[dict[str, object]] = [
+            {"type": 1, "lat": LATITUDE + 5.0 * i / LATITUDE_M, "lon": LONGITUDE, "speed": 9.7}
+        ]
+        if i % 20 == 5:
+            told += static
+        for report in told:
+            parts = pyais.encode_dict({"mmsi": mmsi, "course": 0.0, **report})
+            lines += [f"2024-06-01T10:00:{i:02d}Z {part}" for part in parts]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("static", "size", "ahead"),
+    [
+        ({"type": 5, **dict(zip(SIDES, (80, 20, 4, 10), strict=True))}, (100.0, 14.0), 30.0),
+        (
+            {"type": 24, "partno": 1, **dict(zip(SIDES, (9, 3, 2, 2), strict=True))},
+            (12.0, 4.0),
+            3.0,
+        ),
+        # Length and beam, of an antenna that is nobody knows where.
+        ({"type": 5, **dict(zip(SIDES, (0, 100, 0, 14), strict=True))}, (100.0, 14.0), math.nan),
+        ({"type": 5, **dict.fromkeys(SIDES, 0)}, (math.nan, math.nan), math.nan),
+    ],
+)
+def test_ais_tells_hulls(
+    tmp_path: Path, static: dict[str, object], size: tuple[float, float], ahead: float
+) -> None:
+    other = {"type": 5, **dict(zip(SIDES, (200, 50, 20, 20), strict=True))}
+    scene = prepared(tmp_path, 'fixes = "log.nmea"\nmmsi = 211000001\n')
+    feed = sentences(211000001, static) + sentences(211000002, other)
+    (tmp_path / "log.nmea").write_text(feed)
+    recording = scene()["a"]
+    hull = recording.hull()
+    np.testing.assert_array_equal(hull.size_m, size)
+    np.testing.assert_array_equal(hull.ahead_m, ahead)
+    # The vessel goes north, and so does what is ahead of its antenna.
+    antenna = read_ais_vessel(tmp_path / "log.nmea", 211000001)
+    north = (recording.fixes().latitude_deg - antenna.latitude_deg) * LATITUDE_M
+    np.testing.assert_allclose(north, np.nan_to_num(ahead), atol=0.05)
+
+
+def test_what_is_stated_goes_before_what_ais_tells(tmp_path: Path) -> None:
+    static = {"type": 5, **dict(zip(SIDES, (80, 20, 4, 10), strict=True))}
+    scene = prepared(tmp_path, 'fixes = "log.nmea"\nlength_m = 110\n')
+    (tmp_path / "log.nmea").write_text(sentences(211000001, static))
+    hull = scene()["a"].hull()
+    assert hull.size_m == (110.0, 14.0)
+    assert hull.ahead_m == 30.0
 
 
 @pytest.mark.parametrize(

@@ -402,7 +402,7 @@ def _undetermined(parameters: Sequence[Parameter], told: Sequence[str]) -> list[
             "camera decides, and positions away from the training boxes are unsurer for it."
         )
     if stated:
-        out.append(f"The data says little of {', '.join(stated)}: what the scene states decides.")
+        out.append(f"What is stated decides more than the data does: {', '.join(stated)}.")
     return out
 
 

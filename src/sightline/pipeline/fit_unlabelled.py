@@ -39,6 +39,7 @@ from sightline.scene.correspondences import (
     scene_correspondences,
 )
 from sightline.scene.detections import SceneDetections, lower_edges_of
+from sightline.scene.hull import Hull
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
@@ -472,6 +473,7 @@ def recognised_correspondences(
     """Correspondences of the associated boxes, thinned."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
     sigmas, around = [], []
+    sizes, middles = [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
         watch = by_name[found.recording]
@@ -489,6 +491,10 @@ def recognised_correspondences(
         # What short gaps leave open is told by the noise that the fit estimates.
         sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
         around.append(at.fix_time_utc_s[known])
+        recording = scene[found.recording]
+        hull = recording.hull() if len(recording.logs()) == 1 else Hull()
+        sizes.append(np.tile(hull.size_m, (int(known.sum()), 1)))
+        middles.append(np.full(int(known.sum()), hull.antenna_known))
         if scene.tidal:
             levels.append(levels_at(scene[found.recording], times[known] - watch.zone_s))
     return Correspondences(
@@ -502,6 +508,8 @@ def recognised_correspondences(
         water_level_m=np.concatenate([np.empty(0), *levels]),
         fix_sigma_m=np.concatenate(sigmas),
         fix_time_utc_s=np.concatenate(around),
+        hull_m=np.concatenate(sizes),
+        at_middle=np.concatenate(middles),
     )
 
 

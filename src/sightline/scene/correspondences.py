@@ -192,8 +192,8 @@ def scene_correspondences(
                 bias_only=~np.isin(boxes.source[rows], drew),
                 fix_sigma_m=at.sigma_m[rows],
                 fix_time_utc_s=at.fix_time_utc_s[rows],
-                hull_m=np.tile(recording.hull.size_m, (rows.size, 1)),
-                at_middle=np.full(rows.size, recording.hull.antenna_known),
+                hull_m=np.tile(recording.hull().size_m, (rows.size, 1)),
+                at_middle=np.full(rows.size, recording.hull().antenna_known),
             )
         )
     if silent and len(silent) == len(parts):

@@ -49,11 +49,23 @@ class Hull:
         """
         bow, stern, port, starboard = antenna_m or (0.0, 0.0, 0.0, 0.0)
         long, wide = bow + stern, port + starboard
+        # A receiver at the very bow and side stands for one of which AIS knows no place.
+        known = long > 0.0 and not bow == port == 0.0
         return cls(
             length_m=length_m or long or math.nan,
             beam_m=beam_m or wide or math.nan,
-            ahead_m=0.5 * (bow - stern) if long else math.nan,
-            starboard_m=0.5 * (starboard - port) if long and wide else 0.0 if long else math.nan,
+            ahead_m=0.5 * (bow - stern) if known else math.nan,
+            starboard_m=0.5 * (starboard - port) if known else math.nan,
+        )
+
+    def completed(self, told: Hull) -> Hull:
+        """The hull with what another tells of it where nothing is stated."""
+        antenna = self if self.antenna_known else told
+        return Hull(
+            self.length_m if math.isfinite(self.length_m) else told.length_m,
+            self.beam_m if math.isfinite(self.beam_m) else told.beam_m,
+            antenna.ahead_m,
+            antenna.starboard_m,
         )
 
     @property

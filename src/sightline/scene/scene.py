@@ -92,7 +92,7 @@ class Recording:
         water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
         camera_place_deg: Latitude and longitude of the camera where the scene file says them.
-        hull: What is stated of the hull of the target that was logged.
+        stated_hull: What is stated of the hull of the target that was logged.
         clock_offset_s: How far the camera's clock is taken to be ahead of the log's: it is taken
             off all times of frames and boxes, which are then in the log's time.
         clock_prior: What was believed of that offset before any data.
@@ -114,7 +114,7 @@ class Recording:
     water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
     camera_place_deg: tuple[float, float] | None = None
-    hull: Hull = field(default_factory=Hull)
+    stated_hull: Hull = field(default_factory=Hull)
     clock_offset_s: float = 0.0
     clock_prior: ClockPrior = field(default_factory=ClockPrior)
     clock_found: ClockOffset | None = None
@@ -193,10 +193,21 @@ class Recording:
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
         changed_ns = self.fixes_path.stat().st_mtime_ns
-        fixes = _fixes(self.fixes_path, self.mmsi, self.hull, changed_ns)
+        fixes = _fixes(self.fixes_path, self.mmsi, self.stated_hull, changed_ns)
         if self.camera_place_deg is not None:
             check_near(fixes, *self.camera_place_deg, str(self.fixes_path), "the camera")
         return fixes
+
+    def hull(self) -> Hull:
+        """The hull of the target that was logged: as stated, else as its AIS tells.
+
+        Raises:
+            InputError: As `fixes`.
+        """
+        if self.fixes_path is None:
+            return self.stated_hull
+        changed_ns = self.fixes_path.stat().st_mtime_ns
+        return self.stated_hull.completed(_log(self.fixes_path, self.mmsi, changed_ns)[1])
 
     def platform(self) -> Platform | None:
         """The platform that the camera is on; None where it is static.
@@ -513,8 +524,19 @@ def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
 
 # Recordings share their logs, which are long.
 @lru_cache(maxsize=32)
-def _fixes(path: Path, mmsi: int | None, hull: Hull, _modified_ns: int) -> Fixes:
-    return hull.middle_of(formats.read_fixes(path, mmsi=mmsi))
+def _log(path: Path, mmsi: int | None, _modified_ns: int) -> tuple[Fixes, Hull]:
+    """Fixes of an antenna, and what its AIS tells of the hull."""
+    fixes = formats.read_fixes(path, mmsi=mmsi)
+    told = None
+    if fixes.name.isdecimal() and (mmsi is not None or formats.holds_ais(path)):
+        told = formats.read_ais_dimensions(path, int(fixes.name))
+    return fixes, Hull.of(None, None, told)
+
+
+@lru_cache(maxsize=32)
+def _fixes(path: Path, mmsi: int | None, stated: Hull, modified_ns: int) -> Fixes:
+    fixes, told = _log(path, mmsi, modified_ns)
+    return stated.completed(told).middle_of(fixes)
 
 
 @lru_cache(maxsize=32)
@@ -578,7 +600,7 @@ def _recording(
         clock_offset_s=clock.mean_s,
         clock_prior=clock,
         clock_found=None,
-        hull=Hull.of(table.length_m, table.beam_m, table.antenna_m),
+        stated_hull=Hull.of(table.length_m, table.beam_m, table.antenna_m),
         **paths,
     )
 
