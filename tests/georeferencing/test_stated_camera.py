@@ -347,12 +347,13 @@ def test_a_field_of_view_is_that_of_the_whole_picture() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("height_m = -1", r"camera\.height_m: give metres .* between 0 and 9000; it is -1"),
+        ("height_m = -1", r"camera\.height_m: give metres .* between 0.01 and 9000; it is -1"),
         ("height_m = [1, 0]", r"camera\.height_m: give metres .*standard deviation, \[12\.0, 0\.5"),
         ("height_m = [1, 2, 3]", r"camera\.height_m: give metres .*; it is \[1"),
         ("height_m = []", r"camera\.height_m: give metres .*; it is \[\]"),
         ('height_m = "high"', r"camera\.height_m: "),
-        ("horizontal_fov_deg = 180", r"camera\.horizontal_fov_deg: .* between 0 and 180"),
+        ("horizontal_fov_deg = 180", r"camera\.horizontal_fov_deg: .* between 0.1 and 170"),
+        ("horizontal_fov_deg = 1e-320", r"camera\.horizontal_fov_deg: .* between 0.1 and 170"),
         ("heading_deg = 400", r"camera\.heading_deg: .* between -360 and 360"),
         ("effective_earth_radius_m = 1.17", r"camera\.effective_earth_radius_m: .*7\.43e6"),
         ("principal_point_px = [1]", r"camera\.principal_point_px: give the column and the row"),

@@ -48,9 +48,10 @@ class Table(BaseModel):
 
 
 STATED = {
-    "height_m": (0.0, 9000.0, "metres above the water or the road", "12.0, 0.5"),
-    "horizontal_fov_deg": (0.0, 180.0, "degrees from edge to edge", "62.0, 2.0"),
-    "focal_px": (0.0, 1e6, "pixels", "940.0, 20.0"),
+    "height_m": (0.01, 9000.0, "metres above the water or the road", "12.0, 0.5"),
+    # A model without a fisheye's projection sees less than half of all around.
+    "horizontal_fov_deg": (0.1, 170.0, "degrees from edge to edge", "62.0, 2.0"),
+    "focal_px": (10.0, 1e6, "pixels", "940.0, 20.0"),
     "heading_deg": (-360.0, 360.0, "degrees clockwise from north", "215.0, 3.0"),
     "pitch_deg": (-90.0, 90.0, "degrees below the horizontal", "4.0, 1.0"),
     "roll_deg": (-90.0, 90.0, "degrees, positive where the right end is lower", "0.5, 0.5"),
