@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.camera import mixed_model, target_sizes
+from sightline.camera import mixed_model, stated, target_sizes
 from sightline.camera.priors import NOISE_PRIORS, CameraPrior
 from sightline.clock_offset import STATED_SIGMA_S, USUAL_SIGMA_S
 from sightline.georeferencing.camera_regressor import UNSEEN_BIAS_PX
@@ -25,11 +25,16 @@ def numbers_of_the_code() -> dict[str, tuple[float, ...]]:
     }
     for name in ("BEAM_SHARE", "USUAL_SPREAD", "_WIDTH_SIGMA"):
         out[name] = (getattr(target_sizes, name),)
-    for name in ("_SIZE_SHARE", "_MIDDLE_SIGMA_M", "_MIDDLE_SHARE"):
+    for name in ("_SIZE_SHARE", "_STATED_SIZE_SHARE", "_MIDDLE_SIGMA_M", "_MIDDLE_SHARE"):
         out[name] = (getattr(mixed_model, name),)
+    for name in vars(stated):
+        if name.startswith("STATED_") or name == "PICTURE_FOCAL_SHARE":
+            out[name] = (getattr(stated, name),)
     for field in fields(CameraPrior):
         value = getattr(CameraPrior(), field.name)
-        out[field.name] = value if isinstance(value, tuple) else (value,)
+        # Where nothing is believed there is no number.
+        numbers = () if value is None else (value,)
+        out[field.name] = value if isinstance(value, tuple) else numbers
     for name, prior in NOISE_PRIORS.items():
         out[name] = (prior.typical, prior.log_sigma) if prior.log_sigma else (prior.typical,)
     return out
@@ -44,8 +49,8 @@ def test_all_priors_are_listed_once() -> None:
 def test_numbers_of_a_prior_are_those_of_the_code(names: str, cell: str) -> None:
     code = numbers_of_the_code()
     expected = [value for name in re.findall(r"`(\w+)`", names) for value in code[name]]
-    stated = [float(number) for number in re.findall(r"[\d.]+", cell)]
-    assert stated == pytest.approx(expected, rel=1e-3)
+    written = [float(number) for number in re.findall(r"[\d.]+", cell)]
+    assert written == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("name", NOISE_PRIORS)

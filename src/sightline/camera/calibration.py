@@ -137,7 +137,7 @@ class CameraFit:
         """
         sigma = np.sqrt(np.diag(self.covariance)[CAMERA])
         prior = self.prior_sigma[CAMERA].copy()
-        prior[HEADING] = np.radians(10.0) / _KNOWN_AT
+        prior[HEADING] = min(prior[HEADING], np.radians(10.0) / _KNOWN_AT)
         prior[LOG_HEIGHT] = min(prior[LOG_HEIGHT], _HEIGHT_SIGMA)
         prior[np.isinf(prior)] = 0.25 * self.typical_range_m / _KNOWN_AT
         return np.asarray(sigma < _KNOWN_AT * prior)

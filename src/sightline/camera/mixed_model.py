@@ -33,6 +33,7 @@ from sightline.camera.parameters import (
     NORTH,
     PITCH,
     POSITION,
+    PRINCIPAL_DX,
     SOURCE_PARAMETERS,
     TARGET,
     ParameterLayout,
@@ -59,6 +60,8 @@ _MIDDLE_SIGMA_M, _MIDDLE_SHARE = 1.0, 0.4
 # By what share of itself a length that is read off boxes may be wrong: off tight boxes of rendered
 # hulls it comes out 4 to 11 % too short, and people leave margins.
 _SIZE_SHARE = 0.25
+# A length that is stated is that of the deck, and a box ends at the water.
+_STATED_SIZE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +153,10 @@ class MixedModel:
         self.bow = np.where(
             steered[:, None], sightings.velocity_mps / np.maximum(speed, 1e-9)[:, None], 0.0
         )
+        # Where the place is that of the middle, no receiver lies ahead of it or astern.
+        self.aboard = np.where(sightings.at_middle[:, None], 0.0, self.bow)
+        self.sized = np.isfinite(sightings.hull_m) & self.boxes[:, None]
+        self.stated_half_m = np.where(self.sized, 0.5 * sightings.hull_m, 0.0)
         self.centre = np.array([np.mean(sightings.east_m), np.mean(sightings.north_m)])
         self.spread = float(
             np.hypot(
@@ -177,9 +184,10 @@ class MixedModel:
             # The places are those at the clocks that the fit begins with.
             vector[self.layout.clocks] = 0.0
             if i or not self.position_known:
-                vector[LOG_HEIGHT] += rng.normal(0.0, 0.8)
-                vector[PITCH] += rng.normal(0.0, np.radians(8.0))
-                vector[LOG_FOCAL] += rng.normal(0.0, 0.6)
+                # What is known well is no matter of chance.
+                vector[LOG_HEIGHT] += rng.normal(0.0, min(0.8, self.sigma[LOG_HEIGHT]))
+                vector[PITCH] += rng.normal(0.0, min(np.radians(8.0), self.sigma[PITCH]))
+                vector[LOG_FOCAL] += rng.normal(0.0, min(0.6, 2.0 * self.sigma[LOG_FOCAL]))
             if not self.position_known:
                 angle = 2.0 * np.pi * (i + rng.uniform()) / count
                 distance = self.spread * np.exp(rng.uniform(0.0, 1.6))
@@ -188,16 +196,31 @@ class MixedModel:
             bearing = np.arctan2(
                 self.sightings.east_m - vector[EAST], self.sightings.north_m - vector[NORTH]
             )
-            from_middle = self.sightings.pixel_px[:, 0] - 0.5 * self.image_size_px[0]
+            middle_px = 0.5 * self.image_size_px[0] + vector[PRINCIPAL_DX]
+            from_middle = self.sightings.pixel_px[:, 0] - middle_px
             across = np.arctan(from_middle / np.exp(vector[LOG_FOCAL]))
             turn = bearing - across
-            vector[HEADING] = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            seen = np.arctan2(np.sin(turn).mean(), np.cos(turn).mean())
+            # Of the full turns that are one heading, that by the prior's.
+            off = seen - self.mean[HEADING]
+            vector[HEADING] = self.mean[HEADING] + np.arctan2(np.sin(off), np.cos(off))
             out.append(vector)
         return out
 
     def aspect(self, vector: FloatArray) -> FloatArray:
-        """(N, 2) shares of a typical half length and half beam along the line of sight."""
-        return self.directions(vector) * self.hull.relative_size[:, None]
+        """(N, 2) shares of a typical half length and half beam along the line of sight.
+
+        None of those that are stated.
+        """
+        out = self.directions(vector) * self.hull.relative_size[:, None]
+        return np.where(self.sized, 0.0, out)
+
+    def reach_m(self, vector: FloatArray, aspect: FloatArray) -> FloatArray:
+        """(N,) how far the hulls reach towards the camera, metres."""
+        out: FloatArray = aspect @ vector[TARGET]
+        if self.sized.any():
+            out = out + np.sum(self.directions(vector) * self.stated_half_m, axis=1)
+        return out
 
     def directions(self, vector: FloatArray) -> FloatArray:
         """(N, 2) shares of its own half length and half beam along the line of sight."""
@@ -212,23 +235,44 @@ class MixedModel:
         return out
 
     def expect_hull(self, vector: FloatArray) -> None:
-        """Set the prior of the hull's dimensions from the widths of the boxes."""
+        """Set the prior of the hull's dimensions from what is stated, else the boxes' widths."""
         s = self.sightings
-        rows = np.flatnonzero(np.isfinite(s.width_px))
+        rows = np.flatnonzero(np.isfinite(s.width_px) | self.sized[:, 0])
         if rows.size < 3:
             return
         aspect = self.directions(vector)[rows]
         seen = 2.0 * (aspect[:, 1] + BEAM_SHARE * aspect[:, 0])
         each = s.width_px[rows] / self.pixels_per_metre(vector)[rows] / seen
+        stated = self.sized[rows, 0]
         logs, of = np.unique(s.log[rows], return_inverse=True)
+        wider = self._wider(each, rows, of)
+        each = each / wider
+        each[stated] = self.stated_half_m[rows[stated], 0]
         half = np.array([np.median(each[of == one]) for one in range(logs.size)])
-        sizes = TargetSizes.of(half)
+        sizes = TargetSizes.of(half, wider)
         typical = sizes.half_length_m
         relative = np.ones(len(s))
         relative[rows] = (half / typical)[of]
-        self.hull = Hulls(relative, typical * relative[:, None] * self.bow, sizes)
-        self.mean[TARGET] = typical, BEAM_SHARE * typical
-        self.sigma[TARGET] = _SIZE_SHARE * typical, _SIZE_SHARE * BEAM_SHARE * typical
+        self.hull = Hulls(relative, typical * relative[:, None] * self.aboard, sizes)
+        beams = self.stated_half_m[self.sized[:, 1], 1]
+        beam = float(np.median(beams)) if beams.size else BEAM_SHARE * typical
+        self.mean[TARGET] = typical, beam
+        share = np.maximum(_SIZE_SHARE * (1.0 - self.sized[rows].mean(axis=0)), _STATED_SIZE_SHARE)
+        self.sigma[TARGET] = share * self.mean[TARGET]
+
+    def _wider(self, half_m: FloatArray, rows: IntArray, of: IntArray) -> float:
+        """How many times wider boxes are than hulls: 1, but for what stated sizes tell.
+
+        Half lengths (K,) are those that the widths of boxes make, of some rows and their logs.
+        """
+        known = self.sized[rows, 0] & np.isfinite(half_m)
+        if not known.any():
+            return 1.0
+        ratio = np.log(half_m[known] / self.stated_half_m[rows[known], 0])
+        logs = np.unique(of[known])
+        each = [np.median(ratio[of[known] == one]) for one in logs]
+        # That boxes are as wide as hulls counts as much as one target.
+        return float(np.exp(np.median(each) * logs.size / (1.0 + logs.size)))
 
     def project(
         self, vector: FloatArray, aspect: FloatArray, shift_m: FloatArray | None = None
@@ -250,7 +294,7 @@ class MixedModel:
         east_off, north_off = east - vector[EAST], north - vector[NORTH]
         distance = np.hypot(east_off, north_off)
         sine, cosine = east_off / distance, north_off / distance
-        hull = aspect @ vector[TARGET]
+        hull = self.reach_m(vector, aspect)
         pixel, by_parameter, by_foot = project_with_jacobian(
             vector[CAMERA], self.image_size_px, east - hull * sine, north - hull * cosine, above
         )
@@ -262,7 +306,7 @@ class MixedModel:
         jacobian = np.zeros((len(s), 2, vector.size))
         if vector.size > self.size:
             jacobian[:, :, self.layout.middle] = np.einsum(
-                "nij,nj->ni", by_point[:, :, :2], self.bow * self.hull.relative_size[:, None]
+                "nij,nj->ni", by_point[:, :, :2], self.aboard * self.hull.relative_size[:, None]
             )
         jacobian[:, :, CAMERA] = by_parameter
         jacobian[:, :, POSITION] = -by_point[:, :, :2]
@@ -289,7 +333,7 @@ class MixedModel:
             offset[self.moving] = vector[self.layout.clock(self.clock[self.moving])]
             place += offset * s.velocity_mps.T
         if vector.size > self.size:
-            place += vector[self.layout.middle] * self.hull.relative_size * self.bow.T
+            place += vector[self.layout.middle] * self.hull.relative_size * self.aboard.T
         return place[0], place[1]
 
     def pixels_per_metre(self, vector: FloatArray) -> FloatArray:
@@ -494,7 +538,7 @@ class MixedModel:
         at_east, at_north = self.place(vector)
         off = np.stack([at_east[rows] - camera.east_m, at_north[rows] - camera.north_m])
         distance = np.hypot(*off)
-        hull = (self.aspect(vector)[rows] @ vector[TARGET]) / distance
+        hull = self.reach_m(vector, self.aspect(vector))[rows] / distance
         error = np.hypot(
             east - at_east[rows] + hull * off[0], north - at_north[rows] + hull * off[1]
         )

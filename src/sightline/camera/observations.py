@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from sightline.errors import FitError
-from sightline.types import FloatArray, IntArray
+from sightline.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +64,10 @@ class PointCorrespondences:
             its correlated error is its own. Absent: one for each recording.
         gap_s: (N, 2) float64, times of the fixes on either side: what ``sigma_m`` says of boxes is
             alike within a gap. NaN where not known. Absent: nowhere.
+        hull_m: (N, 2) float64, length and beam of the target where somebody states them, else NaN.
+            Absent: nowhere.
+        at_middle: (N,) bool, whether the place is that of the middle of the hull, not of a receiver
+            somewhere on it. Absent: nowhere.
     """
 
     pixel_px: FloatArray
@@ -78,6 +82,8 @@ class PointCorrespondences:
     above_m: FloatArray = field(default_factory=lambda: np.empty(0))
     log: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     gap_s: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    hull_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    at_middle: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         if self.above_m.size == 0:
@@ -86,6 +92,10 @@ class PointCorrespondences:
             object.__setattr__(self, "log", self.group)
         if self.gap_s.size == 0:
             object.__setattr__(self, "gap_s", np.full((self.east_m.size, 2), np.nan))
+        if self.hull_m.size == 0:
+            object.__setattr__(self, "hull_m", np.full((self.east_m.size, 2), np.nan))
+        if self.at_middle.size == 0:
+            object.__setattr__(self, "at_middle", np.zeros(self.east_m.size, dtype=np.bool_))
         for name in ("time_s", "width_px"):
             if getattr(self, name).size == 0:
                 object.__setattr__(self, name, np.full(self.east_m.size, np.nan))

@@ -118,7 +118,10 @@ class CameraPrior:
         k2_sigma: About zero.
         half_length_m: Mean and standard deviation; of the target.
         half_beam_m: Mean and standard deviation; of the target.
-        principal_sigma_widths: Of the principal point about the middle of the image, image widths.
+        heading_deg: Mean and standard deviation; None: nobody knows it.
+        principal_widths: Mean of the principal point, to the right of the middle of the image and
+            below it, image widths.
+        principal_sigma_widths: Its standard deviation along either axis, image widths.
         curvature: Mean and standard deviation of the curvature along sight lines, as a share of the
             earth's: refraction over warm or cold water may take all of it, or none.
         position_sigma_m: Of the camera about the place that the scene states.
@@ -143,6 +146,8 @@ class CameraPrior:
     half_length_m: tuple[float, float] = (0.0, 2.0)
     half_beam_m: tuple[float, float] = (0.0, 1.0)
     position_sigma_m: float = 3.0
+    heading_deg: tuple[float, float] | None = None
+    principal_widths: tuple[float, float] = (0.0, 0.0)
     principal_sigma_widths: float = 0.015
     curvature: tuple[float, float] = (6.0 / 7.0, 0.5)
     bias_px: float = 0.0
@@ -162,9 +167,10 @@ class CameraPrior:
     ) -> tuple[FloatArray, FloatArray]:
         """Means and standard deviations of the whole parameter vector.
 
-        The heading has no prior (infinite standard deviation), and neither has the position of a
-        camera of which nobody knows where it stands.
+        A heading that nobody knows has no prior (infinite standard deviation), and neither has the
+        position of a camera of which nobody knows where it stands.
         """
+        heading_deg, heading_sigma_deg = self.heading_deg or (0.0, np.inf)
         layout = ParameterLayout(n_sources, n_clocks)
         mean, sigma = np.zeros(layout.size), np.zeros(layout.size)
         mean[CAMERA] = camera_vector(
@@ -172,7 +178,10 @@ class CameraPrior:
                 LOG_HEIGHT: np.log(self.height_m),
                 PITCH: np.radians(self.pitch_deg[0]),
                 ROLL: np.radians(self.roll_deg[0]),
+                HEADING: np.radians(heading_deg),
                 LOG_FOCAL: np.log(self.focal_widths * image_size_px[0]),
+                PRINCIPAL_DX: self.principal_widths[0] * image_size_px[0],
+                PRINCIPAL_DY: self.principal_widths[1] * image_size_px[0],
                 CURVATURE: self.curvature[0],
             }
         )
@@ -181,7 +190,7 @@ class CameraPrior:
                 LOG_HEIGHT: self.log_height_sigma,
                 PITCH: np.radians(self.pitch_deg[1]),
                 ROLL: np.radians(self.roll_deg[1]),
-                HEADING: np.inf,
+                HEADING: np.radians(heading_sigma_deg),
                 LOG_FOCAL: self.log_focal_sigma,
                 K1: self.k1_sigma,
                 K2: self.k2_sigma,

@@ -37,18 +37,20 @@ class TargetSizes:
     Attributes:
         half_length_m: Half of the length of a typical target, as widths of boxes tell it.
         log_sigma: Standard deviation of the logarithm of the sizes.
+        wider: How many times as wide as hulls boxes are, as hulls of stated size tell.
     """
 
     half_length_m: float
     log_sigma: float
+    wider: float = 1.0
 
     @classmethod
-    def of(cls, half_length_m: FloatArray) -> TargetSizes:
+    def of(cls, half_length_m: FloatArray, wider: float = 1.0) -> TargetSizes:
         """The distribution from half the lengths of some targets, (K,) metres, at least one."""
         logs = np.log(half_length_m)
         middle = float(np.median(logs))
         spread = np.sqrt((USUAL_SPREAD**2 + np.sum((logs - middle) ** 2)) / (1.0 + logs.size))
-        return cls(float(np.exp(middle)), float(spread))
+        return cls(float(np.exp(middle)), float(spread), wider)
 
     def reach(self, width_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """How far hulls of some apparent widths reach towards the camera.
@@ -61,7 +63,7 @@ class TargetSizes:
             (N,) each, and the (3, N) variances and covariance of the two: of length, beam, both.
         """
         table = self._table
-        log_width = np.log(np.maximum(width_m, 1e-6) / (2.0 * self.half_length_m))
+        log_width = np.log(np.maximum(width_m, 1e-6) / (2.0 * self.wider * self.half_length_m))
         log_width = np.nan_to_num(log_width)
         out = [np.interp(log_width, self._log_widths, row) for row in table]
         return out[0], out[1], np.stack(out[2:])
@@ -69,7 +71,7 @@ class TargetSizes:
     def reach_one(self, width_m: float) -> tuple[float, float, float, float, float]:
         """As `reach`, for one width: the two shares, then variances and covariance."""
         first, step, rows = self._rows
-        at = (math.log(max(width_m, 1e-6) / (2.0 * self.half_length_m)) - first) / step
+        at = (math.log(max(width_m, 1e-6) / (2.0 * self.wider * self.half_length_m)) - first) / step
         at = min(max(at, 0.0), _WIDTHS - 1.000001)
         index = int(at)
         late = at - index

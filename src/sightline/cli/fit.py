@@ -110,9 +110,13 @@ def fit(
         say(
             f"{model}: learned from {report.n} of {report.asked} boxes{more}; they lie "
             f"{report.rmse_m:.1f} m RMSE, {report.median_m:.1f} m in the median from the log"
+            f"{' and the map' if report.control_points else ''}"
         )
     else:
-        say(f"{model}: learned from {points}")
+        say(
+            f"{model}: learned from {points}; they lie {report.rmse_m:.2f} m RMSE, "
+            f"{report.median_m:.2f} m in the median from the map"
+        )
     for parameter in report.parameters:
         mark = "" if parameter.determined else "  (not determined by the data)"
         say(

@@ -19,7 +19,13 @@ from sightline.errors import InputError
 from sightline.formats import _files, _track_table
 from sightline.formats._json_logs import coco_refusal, is_coco, is_json
 from sightline.formats._log_table import is_log_table, is_vessel_table
-from sightline.formats.ais import AisVessel, read_ais, read_ais_feed, read_ais_vessel
+from sightline.formats.ais import (
+    AisVessel,
+    read_ais,
+    read_ais_dimensions,
+    read_ais_feed,
+    read_ais_vessel,
+)
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
 from sightline.formats.control_points import read_control_points
@@ -49,6 +55,7 @@ __all__ = [
     "is_log_table",
     "iter_boxes",
     "read_ais",
+    "read_ais_dimensions",
     "read_ais_feed",
     "read_boxes",
     "read_clock",

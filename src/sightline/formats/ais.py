@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
@@ -36,6 +38,9 @@ _POSITION_REPORTS = (
 )
 # Up to the second of the minute, or what comes last before it.
 _LEAST_BITS = {1: 143, 2: 143, 3: 143, 18: 139, 19: 139, 27: 94}
+# By the first letter of a payload, which is its type (5, 19, 24): up to the end of the dimensions.
+_STATIC_BITS = {"5": 270, "C": 301, "H": 162}
+_SIDES = ("bow", "stern", "port", "starboard")
 _UNTIMED = "position reports without a time of reception"
 _KNOT_MPS = 1852.0 / 3600.0
 _LONG_RANGE = 27
@@ -143,6 +148,40 @@ def read_ais_vessel(
     if tally is None:
         own.warn(_logger)
     return found
+
+
+def read_ais_dimensions(
+    path: str | os.PathLike[str], mmsi: int, *, tally: Tally | None = None
+) -> tuple[float, float, float, float] | None:
+    """Distances from a vessel's antenna to its bow, stern, port and starboard, metres.
+
+    As its static reports (types 5, 19 and 24) state them most often; None where none does. Where a
+    report tells length and beam and not where the antenna is, bow and port are zero.
+
+    Args:
+        path: A log of AIS sentences.
+        mmsi: The vessel.
+        tally: Takes how many static reports tell them, and the sentences that were read.
+    """
+    own = Tally(path) if tally is None else tally
+    told: Counter[tuple[float, float, float, float]] = Counter()
+    for message in read_messages(path, ReceptionClock(), own):
+        needed = _STATIC_BITS.get(message.payload[0])
+        if needed is None or 6 * len(message.payload) - message.fill_bits < needed:
+            continue
+        report = _decoded(message)
+        if report is None or int(report.mmsi) != mmsi:
+            continue
+        sides = [getattr(report, f"to_{side}", None) for side in _SIDES]
+        bow, stern, port, starboard = (math.inf if one is None else float(one) for one in sides)
+        # Of 511 and 63 m it is so much or more, and zero to both ends says that nobody knows.
+        if max(bow, stern) >= 511.0 or max(port, starboard) >= 63.0 or bow + stern == 0.0:
+            continue
+        told[bow, stern, port, starboard] += 1
+    if not told:
+        return None
+    own.count("reports of dimensions", told.total())
+    return told.most_common(1)[0][0]
 
 
 def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[Report]]:

@@ -509,6 +509,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             return
         speed = np.hypot(*observations.velocity_mps.T)[:, None]
         ahead_m = self.half_m[0] * observations.velocity_mps / np.maximum(speed, 1e-9)
+        ahead_m[observations.at_middle] = 0.0
 
         def learn(axis: int) -> ResidualProcess:
             along_or_across = sight if axis == 0 else sight[:, ::-1] * (1.0, -1.0)
@@ -574,7 +575,11 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "typical_speed_mps": self.typical_speed_mps_,
             "sizes": None
             if fit.sizes is None
-            else {"half_length_m": fit.sizes.half_length_m, "log_sigma": fit.sizes.log_sigma},
+            else {
+                "half_length_m": fit.sizes.half_length_m,
+                "log_sigma": fit.sizes.log_sigma,
+                "wider": fit.sizes.wider,
+            },
         }
         for key, process in (("range", self.range_process_), ("bearing", self.bearing_process_)):
             if process is not None:
@@ -629,7 +634,11 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         nothing = np.empty(0)
         sizes = settings.get("sizes")
         if sizes is not None:
-            sizes = TargetSizes(float(sizes["half_length_m"]), float(sizes["log_sigma"]))
+            sizes = TargetSizes(
+                float(sizes["half_length_m"]),
+                float(sizes["log_sigma"]),
+                float(sizes.get("wider", 1.0)),
+            )
         model.fit_ = CameraFit(
             vector=vector,
             covariance=np.array(arrays["covariance"], dtype=np.float64).reshape(size, size),

@@ -45,6 +45,10 @@ class Correspondences:
             the log makes; 0 where the fixes are near. Absent: everywhere.
         fix_time_utc_s: (N, 2) float64, times of the fixes on either side, by the log's clock; NaN
             where nobody says. Absent: nowhere.
+        hull_m: (N, 2) float64, length and beam of each target where they are stated, else NaN.
+            Absent: nowhere.
+        at_middle: (N,) bool, whether each place is that of the middle of the hull. Absent: of a
+            receiver somewhere on it.
     """
 
     boxes: Boxes
@@ -58,6 +62,8 @@ class Correspondences:
     bias_only: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
     fix_sigma_m: FloatArray = field(default_factory=lambda: np.empty(0))
     fix_time_utc_s: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    hull_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    at_middle: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
         if self.vessel.size == 0:
@@ -70,6 +76,10 @@ class Correspondences:
             object.__setattr__(self, "fix_sigma_m", np.zeros(len(self.boxes)))
         if self.fix_time_utc_s.size == 0:
             object.__setattr__(self, "fix_time_utc_s", np.full((len(self.boxes), 2), np.nan))
+        if self.hull_m.size == 0:
+            object.__setattr__(self, "hull_m", np.full((len(self.boxes), 2), np.nan))
+        if self.at_middle.size == 0:
+            object.__setattr__(self, "at_middle", np.zeros(len(self.boxes), dtype=np.bool_))
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -120,4 +130,6 @@ class Correspondences:
             bias_only=self.bias_only[rows],
             fix_sigma_m=self.fix_sigma_m[rows],
             fix_time_utc_s=self.fix_time_utc_s[rows],
+            hull_m=self.hull_m[rows],
+            at_middle=self.at_middle[rows],
         )

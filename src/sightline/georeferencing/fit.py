@@ -14,9 +14,11 @@ from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.registration import ReferenceView
 from sightline.camera.rotation import CameraRotation, compensate_rotation, reference_view
 from sightline.camera.stabilisation import horizons_at, nominal_camera, stabilise
+from sightline.camera.stated import StatedCamera
 from sightline.clock_offset import RecordingClock
 from sightline.errors import FitError
 from sightline.geodesy import LocalPlane
+from sightline.georeferencing.contradictions import contradictions
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit_report import fit_report
 from sightline.georeferencing.georeferencer import Georeferencer
@@ -48,6 +50,7 @@ class FitInputs:
         static_intervals: By recording, the static intervals of its camera.
         landmarks: Pixels whose place is known roughly.
         statements: Sentences for people on what was left out of the logs.
+        stated: What is known of the camera before any data.
         clocks: By recording, what was taken off its times, and what is believed of its clock.
         name: Begins messages: the scene file.
     """
@@ -62,6 +65,7 @@ class FitInputs:
     static_intervals: Mapping[str, Sequence[StaticInterval]] = field(default_factory=dict)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     statements: tuple[str, ...] = ()
+    stated: StatedCamera = field(default_factory=StatedCamera)
     clocks: Mapping[str, RecordingClock] = field(default_factory=dict)
     name: str = "the scene"
 
@@ -120,6 +124,10 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
     """
     settings = settings or FitSettings()
     kind = model_type(settings.model)
+    usual = settings.prior or CameraPrior()
+    if inputs.stated.keys:
+        prior = inputs.stated.prior(usual, inputs.image_size_px)
+        settings = replace(settings, prior=prior)
     if not len(inputs.correspondences) and not len(inputs.control_points):
         raise FitError(
             f"{inputs.name}: no pairs of a box and a fix, and no control points; give a "
@@ -129,13 +137,29 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
     view = reference_view(inputs.static_intervals)
     known = _Knowledge()
     while True:
-        fitted = _fit_once(inputs, _prepared(inputs, known, horizon), kind, settings)
+        observed, level_m = _observed(inputs, _prepared(inputs, known, horizon), settings)
+        try:
+            fitted, observed = _fit_once(inputs, observed, level_m, kind, settings.seed)
+        except FitError as error:
+            wrong = contradictions(observed, inputs.stated, usual, seed=settings.seed)
+            if not wrong:
+                raise
+            raise FitError("; ".join((str(error), *wrong))) from error
         fitted = replace(fitted, horizon_px=horizon, moving=inputs.moving)
         told = _told(fitted, inputs, known, horizon, view)
         if told is known:
             break
         known = told
-    if fitted.camera is None or view is None:
+    if fitted.camera is None:
+        return fitted
+    wrong = contradictions(observed, inputs.stated, usual, seed=settings.seed)
+    if inputs.stated.focal_in_pictures and inputs.stated.focal_px is not None and not wrong:
+        focal_px, sigma_px = inputs.stated.focal_px
+        said = f"The pictures carry a focal length (EXIF): {focal_px:.0f} ± {sigma_px:.0f} px."
+        wrong = (said,)
+    report = replace(fitted.report, statements=(*wrong, *fitted.report.statements))
+    fitted = replace(fitted, report=report)
+    if view is None:
         return fitted
     if known.rotations:
         said = (
@@ -246,9 +270,10 @@ def _typical_horizon(horizons: Sequence[Horizons]) -> tuple[float, float] | None
     return float(np.median(left)), float(np.median(right))
 
 
-def _fit_once(
-    inputs: FitInputs, pairs: Correspondences, kind: ModelType, settings: FitSettings
-) -> Georeferencer:
+def _observed(
+    inputs: FitInputs, pairs: Correspondences, settings: FitSettings
+) -> tuple[Observations, float | None]:
+    """What a model learns from, and the water level that the camera's height is over."""
     control = inputs.control_points
     east_north_m = np.stack(
         pairs.plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1
@@ -256,33 +281,52 @@ def _fit_once(
     level_m = settings.water_level_m
     if level_m is None and inputs.tidal and len(pairs):
         level_m = float(np.median(pairs.water_level_m))
-    above_m = pairs.water_level_m - (level_m or 0.0)
-    staged = fit_in_stages(
-        kind,
-        Observations(
-            correspondences=pairs,
-            image_size_px=inputs.image_size_px,
-            control_points=control_landmarks(control.pixel_px, east_north_m),
-            landmarks=inputs.landmarks,
-            above_m=above_m,
-            # That the origin is where a fit put the camera is no knowledge of where it stands.
-            position_known=inputs.position_known,
-            moving=inputs.moving,
-            tidal=level_m is not None,
-            prior=settings.prior,
-            source_priors=settings.source_priors,
-            clocks={
-                name: clock.left for name, clock in inputs.clocks.items() if clock.left is not None
-            },
-        ),
-        seed=settings.seed,
+    observed = Observations(
+        correspondences=pairs,
+        image_size_px=inputs.image_size_px,
+        control_points=control_landmarks(control.pixel_px, east_north_m),
+        landmarks=inputs.landmarks,
+        above_m=pairs.water_level_m - (level_m or 0.0),
+        # That the origin is where a fit put the camera is no knowledge of where it stands.
+        position_known=inputs.position_known,
+        moving=inputs.moving,
+        tidal=level_m is not None,
+        prior=settings.prior,
+        source_priors=settings.source_priors,
+        clocks={
+            name: clock.left for name, clock in inputs.clocks.items() if clock.left is not None
+        },
     )
-    model, pairs, above_m = staged.model, pairs[staged.rows], above_m[staged.rows]
+    return observed, level_m
+
+
+def _fit_once(
+    inputs: FitInputs,
+    observed: Observations,
+    level_m: float | None,
+    kind: ModelType,
+    seed: int,
+) -> tuple[Georeferencer, Observations]:
+    """A georeferencer, and what it learned from in the end."""
+    control = inputs.control_points
+    staged = fit_in_stages(kind, observed, seed=seed)
+    observed = replace(
+        observed,
+        correspondences=observed.correspondences[staged.rows],
+        above_m=observed.above_m[staged.rows],
+    )
+    model, pairs, above_m = staged.model, observed.correspondences, observed.above_m
     has_camera = model.camera is not None
     boxes = pairs.boxes.xyxy_px
     placed = model.locate(boxes, pairs.boxes.source, above_m)
     report = fit_report(
-        kind.name, model, pairs, placed.east_north_m, len(control), clocks=inputs.clocks
+        kind.name,
+        model,
+        pairs,
+        placed.east_north_m,
+        observed.control_points,
+        clocks=inputs.clocks,
+        stated=inputs.stated,
     )
     report = replace(
         report, statements=(*inputs.statements, *staged.statements, *report.statements)
@@ -291,7 +335,7 @@ def _fit_once(
         said = f"The height of the camera is that over a water level of {level_m:.2f} m."
         report = replace(report, statements=(*report.statements, said))
     foot: FloatArray = np.stack([0.5 * (boxes[:, 0] + boxes[:, 2]), boxes[:, 3]], axis=1)
-    return Georeferencer(
+    fitted = Georeferencer(
         model=kind.name,
         regressor=model,
         plane=pairs.plane,
@@ -302,3 +346,4 @@ def _fit_once(
         report=report,
         water_level_m=level_m if has_camera else None,
     )
+    return fitted, observed

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from sightline.camera.calibration import CameraFit
+from sightline.camera.observations import Landmarks
 from sightline.camera.parameters import PARAMETERS, TARGET, TARGET_PARAMETERS
+from sightline.camera.stated import StatedCamera
 from sightline.clock_offset import ClockOffset, RecordingClock
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.models import BoxModel
 from sightline.types import BoolArray, FloatArray
 
+# Residuals of control points that are larger than so rarely by chance are said.
+_BY_CHANCE = 1e-3
 _UNITS = {"_m": "m", "_deg": "degrees", "_px": "px"}
 
 
@@ -85,6 +90,31 @@ class FittedBox:
 
 
 @dataclass(frozen=True)
+class FittedPoint:
+    """Residual and leverage of one control point of the fit.
+
+    Attributes:
+        number: In the order of the scene, the first is 1.
+        x_px: Its column.
+        y_px: Its row.
+        error_m: Between where the camera puts its pixel and its place; NaN above the horizon.
+        residual_px: Between its pixel and where the camera expects it, pixels.
+        sigmas: The same over its standard deviation, root mean square of column and row.
+        leverage: Its leverage on the fit.
+        outlier: Whether the fit took it for one.
+    """
+
+    number: int
+    x_px: float
+    y_px: float
+    error_m: float
+    residual_px: float
+    sigmas: float
+    leverage: float
+    outlier: bool
+
+
+@dataclass(frozen=True)
 class FitReport:
     """Report of a fit.
 
@@ -94,14 +124,15 @@ class FitReport:
         asked: Boxes that there were.
         control_points: Control points that it learned from.
         recordings: Their names.
-        rmse_m: Root mean square error of the pairs themselves, metres; of those whose places are
-            certain, where there are gaps in the logs.
-        median_m: Median error of these pairs, metres.
+        rmse_m: Root mean square error of the pairs themselves and of the control points, metres; of
+            those pairs whose places are certain, where there are gaps in the logs.
+        median_m: Median error of these, metres.
         parameters: Of the camera; none for the paper's models.
         sources: Of the boxes; none for the paper's models.
         clock_offset_s: By recording, how far its clock is to be moved on to agree with the log: of
             the other sign than ``clocks``, which it was there before.
         boxes: One a pair.
+        points: One a control point.
         statements: Sentences for people: what could not be determined, what stands out.
         clocks: By recording, how far its clock is ahead of the log's, with its standard deviation.
     """
@@ -117,6 +148,7 @@ class FitReport:
     sources: tuple[SourceBias, ...] = ()
     clock_offset_s: dict[str, float] = field(default_factory=dict)
     boxes: tuple[FittedBox, ...] = ()
+    points: tuple[FittedPoint, ...] = ()
     statements: tuple[str, ...] = ()
     clocks: dict[str, ClockOffset] = field(default_factory=dict)
 
@@ -164,6 +196,11 @@ class FitReport:
             FittedBox(**{**b, **{k: number(b[k]) for k in ("error_m", "residual_px", "leverage")}})
             for b in fields["boxes"]
         )
+        numbers = ("error_m", "residual_px", "sigmas", "leverage")
+        fields["points"] = tuple(
+            FittedPoint(**{**p, **{k: number(p[k]) for k in numbers}})
+            for p in fields.get("points", ())
+        )
         return cls(**fields)
 
 
@@ -182,9 +219,10 @@ def fit_report(
     regressor: BoxModel,
     pairs: Correspondences,
     places: FloatArray,
-    control_points: int,
+    control: Landmarks,
     *,
     clocks: Mapping[str, RecordingClock],
+    stated: StatedCamera | None = None,
 ) -> FitReport:
     """The report of a fit.
 
@@ -193,8 +231,9 @@ def fit_report(
         regressor: Fitted.
         pairs: What it learned from.
         places: (N, 2) metres east and north, where it puts their boxes.
-        control_points: How many it learned from.
+        control: Control points that it learned from.
         clocks: What was known of the recordings' clocks before the fit.
+        stated: What was known of the camera. Absent: nothing.
     """
     error = np.hypot(*(places - pairs.east_north_m).T)
     certain = error[pairs.certain_rows()]
@@ -202,18 +241,28 @@ def fit_report(
     leverage, outlier = np.full(n, np.nan), np.zeros(n, dtype=bool)
     residual = np.full(n, np.nan)
     more: dict[str, Any] = {}
+    points: tuple[FittedPoint, ...] = ()
     if isinstance(regressor, CameraRegressor):
+        points = _points(regressor, n, control)
         leverage, outlier = regressor.fit_.leverage[:n], regressor.fit_.outlier[:n]
         residual = np.hypot(*regressor.fit_.residual_px[:n].T)
-        more = _camera_report(regressor, pairs, control_points, outlier)
+        more = _camera_report(regressor, pairs, len(control), outlier)
+        stated = stated or StatedCamera()
+        told = [PARAMETERS[slot] for slot in stated.parameters]
+        undetermined = _undetermined(more["parameters"], told)
+        of_points = _on_points(points, stated)
+        more["statements"] = (*of_points, *undetermined, *more["statements"])
+    errors = np.concatenate([certain, [point.error_m for point in points]])
+    known = np.isfinite(errors).any()
     report = FitReport(
         model=model,
         n=n,
         asked=pairs.asked,
-        control_points=control_points if more else 0,
+        control_points=len(points),
         recordings=tuple(str(name) for name in np.unique(pairs.recording)),
-        rmse_m=float(np.sqrt(np.nanmean(certain**2))) if n else float("nan"),
-        median_m=float(np.nanmedian(certain)) if n else float("nan"),
+        rmse_m=float(np.sqrt(np.nanmean(errors**2))) if known else float("nan"),
+        median_m=float(np.nanmedian(errors)) if known else float("nan"),
+        points=points,
         boxes=tuple(
             FittedBox(
                 recording=str(pairs.recording[i]),
@@ -229,6 +278,57 @@ def fit_report(
         **more,
     )
     return report.with_clocks(_clocks(regressor, pairs, clocks))
+
+
+def _points(regressor: CameraRegressor, n: int, control: Landmarks) -> tuple[FittedPoint, ...]:
+    """Control points of a fit, whose rows follow those of its N boxes."""
+    if not len(control):
+        return ()
+    fitted = regressor.fit_
+    found = np.stack(fitted.camera.locate(control.pixel_px), axis=1)
+    error = np.hypot(*(found - control.east_north_m).T)
+    return tuple(
+        FittedPoint(
+            number=i + 1,
+            x_px=float(control.pixel_px[i, 0]),
+            y_px=float(control.pixel_px[i, 1]),
+            error_m=float(error[i]),
+            residual_px=float(np.hypot(*fitted.residual_px[n + i])),
+            sigmas=float(fitted.standard_residual[n + i]),
+            leverage=float(fitted.leverage[n + i]),
+            outlier=bool(fitted.outlier[n + i]),
+        )
+        for i in range(len(control))
+    )
+
+
+def _on_points(points: Sequence[FittedPoint], stated: StatedCamera) -> list[str]:
+    """What is to be said of control points that lie elsewhere than the camera sees them."""
+    out = []
+    wrong = [point for point in points if point.outlier]
+    if wrong:
+        where = ", ".join(
+            f"{p.number} at {p.x_px:.0f}, {p.y_px:.0f} px by {p.residual_px:.0f} px"
+            for p in wrong[:5]
+        )
+        out.append(
+            f"{len(wrong)} of {len(points)} control points disagree with all others and count "
+            f"little ({where})."
+        )
+    others = points if 2 * len(wrong) >= len(points) else [p for p in points if not p.outlier]
+    # What the fit took of their 2 N numbers is as much less to be expected.
+    left = 2.0 * len(others) - sum(point.leverage for point in others)
+    squares = 2.0 * sum(point.sigmas**2 for point in others)
+    if others and left > 0.0 and chi2.sf(squares, max(left, 1.0)) < _BY_CHANCE:
+        off_px = np.sqrt(np.mean([point.residual_px**2 for point in others]))
+        cut = "" if stated.principal_point_px else ", or the picture was cut out of a larger one"
+        mend = "" if stated.principal_point_px else " (state [camera] principal_point_px)"
+        out.append(
+            f"Control points lie {off_px:.1f} px RMSE from where the camera sees them, "
+            f"{np.sqrt(squares / max(left, 1.0)):.1f} times what is assumed of them: pixels or "
+            f"places are wrong{cut}{mend}; the stated uncertainty is too small."
+        )
+    return out
 
 
 def _clocks(
@@ -287,24 +387,32 @@ def _camera_report(
     return {
         "parameters": tuple(parameters),
         "sources": tuple(sources),
-        "statements": _statements(parameters, fitted, pairs, control_points, outlier),
+        "statements": _statements(fitted, pairs, control_points, outlier),
     }
 
 
+def _undetermined(parameters: Sequence[Parameter], told: Sequence[str]) -> list[str]:
+    """What is to be said of parameters that the data does not determine."""
+    unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
+    usual, stated = ([n for n in unknown if (n in told) == known] for known in (False, True))
+    out = []
+    if usual:
+        out.append(
+            f"The data does not determine {', '.join(usual)}: what is assumed of an ordinary "
+            "camera decides, and positions away from the training boxes are unsurer for it."
+        )
+    if stated:
+        out.append(f"What is stated decides more than the data does: {', '.join(stated)}.")
+    return out
+
+
 def _statements(
-    parameters: list[Parameter],
     fitted: CameraFit,
     pairs: Correspondences,
     control_points: int,
     outlier: BoolArray,
 ) -> tuple[str, ...]:
     out = []
-    unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
-    if unknown:
-        out.append(
-            f"The data does not determine {', '.join(unknown)}: what is assumed of an ordinary "
-            "camera decides, and positions away from the training boxes are unsurer for it."
-        )
     if fitted.noise.heave_m > 0.0:
         share = fitted.noise.heave_m / fitted.camera.height_m
         out.append(
@@ -326,8 +434,9 @@ def _statements(
         )
     heavy = fitted.leverage.max(initial=0.0)
     if heavy > 1.5 and len(pairs) + control_points > 8:
+        what = "box" if np.argmax(fitted.leverage) < len(pairs) else "control point"
         out.append(
-            f"A single box carries {heavy:.1f} parameters of the fit; more boxes near it would "
-            "make the camera surer."
+            f"A single {what} carries {heavy:.1f} parameters of the fit; more {what}"
+            f"{'es' if what == 'box' else 's'} near it would make the camera surer."
         )
     return tuple(out)

@@ -46,6 +46,10 @@ class CameraObservations:
             Absent: none.
         gap_s: (N, 2) float64, times of the fixes on either side; what a gap makes of the places in
             it is alike. Absent or NaN: every place is in a gap of its own.
+        hull_m: (N, 2) float64, length and beam of each target where they are stated, else NaN.
+            Absent: nowhere.
+        at_middle: (N,) bool, whether each place is that of the middle of the hull. Absent: of a
+            receiver somewhere on it.
         landmarks: Control points and landmarks.
         clocks: By recording, mean and standard deviation of the seconds to be added to its clock;
             where they are others than the camera's prior says.
@@ -66,6 +70,8 @@ class CameraObservations:
     bias_only: BoolArray = field(default_factory=_absent)
     fix_sigma_m: FloatArray = field(default_factory=_absent)
     gap_s: FloatArray = field(default_factory=_absent)
+    hull_m: FloatArray = field(default_factory=_absent)
+    at_middle: BoolArray = field(default_factory=_absent)
     landmarks: Landmarks = field(default_factory=Landmarks.none)
     clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -87,6 +93,8 @@ class CameraObservations:
             "bias_only": _column(self.bias_only, np.zeros(n), np.bool_),
             "fix_sigma_m": _column(self.fix_sigma_m, np.zeros(n), np.float64),
             "gap_s": _column(self.gap_s, np.full((n, 2), np.nan), np.float64),
+            "hull_m": _column(self.hull_m, np.full((n, 2), np.nan), np.float64),
+            "at_middle": _column(self.at_middle, np.zeros(n), np.bool_),
         }
         for name, values in columns.items():
             if len(values) != n:
@@ -136,6 +144,8 @@ class CameraObservations:
             bias_only=pairs.bias_only,
             fix_sigma_m=pairs.fix_sigma_m,
             gap_s=pairs.fix_time_utc_s,
+            hull_m=pairs.hull_m,
+            at_middle=pairs.at_middle,
             landmarks=landmarks or Landmarks.none(),
             clocks=clocks or {},
         )
@@ -183,6 +193,8 @@ class CameraObservations:
             above_m=np.concatenate([self.above_m, np.zeros(m)]),
             log=np.concatenate([self.log, int(self.log.max(initial=-1)) + 1 + alone]),
             gap_s=np.concatenate([self.gap_s, np.full((m, 2), np.nan)]),
+            hull_m=np.concatenate([self.hull_m, np.full((m, 2), np.nan)]),
+            at_middle=np.concatenate([self.at_middle, np.zeros(m, dtype=np.bool_)]),
         )
 
 

@@ -23,6 +23,7 @@ from sightline.camera.parameters import (
     LOG_HEIGHT,
     PITCH,
     POSITION,
+    PRINCIPAL,
     ROLL,
 )
 from sightline.camera.pinhole import project_with_jacobian
@@ -104,13 +105,17 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     fit = model.regressor.camera_fit
     assert fit is not None, "a model with a camera knows how well"
     sigma = inflation * np.sqrt(np.diag(fit.covariance))
-    usual = CameraPrior()
+    usual, width_px = CameraPrior(), model.image_size_px[0]
+    # Zero for early models, which took it to be in the middle.
+    centred_px = min(float(sigma[PRINCIPAL].max()), float(fit.prior_sigma[PRINCIPAL].max()))
     prior = replace(
         usual,
         height_m=camera.height_m,
         log_height_sigma=min(float(sigma[LOG_HEIGHT]), usual.log_height_sigma),
-        focal_widths=camera.focal_px / model.image_size_px[0],
+        focal_widths=camera.focal_px / width_px,
         log_focal_sigma=min(float(sigma[LOG_FOCAL]), usual.log_focal_sigma),
+        principal_widths=(camera.principal_dx_px / width_px, camera.principal_dy_px / width_px),
+        principal_sigma_widths=centred_px / width_px or usual.principal_sigma_widths,
     )
     if turned:
         return prior

@@ -15,6 +15,7 @@ from sightline.camera.pinhole import Camera
 from sightline.camera.priors import CameraPrior, SourcePrior
 from sightline.camera.shore_landmarks import shore_landmarks
 from sightline.camera.shoreline import WaterEdge, find_water_edge
+from sightline.camera.stated import StatedCamera
 from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, RecordingClock
 from sightline.detection import DEFAULT_DETECTOR, Detector, LowerEdge, check_detector_name
 from sightline.errors import FitError, InputError
@@ -38,6 +39,7 @@ from sightline.scene.correspondences import (
     scene_correspondences,
 )
 from sightline.scene.detections import SceneDetections, lower_edges_of
+from sightline.scene.hull import Hull
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
@@ -315,6 +317,7 @@ def fit_association(
         static_intervals=scene_static_intervals(scene),
         landmarks=landmarks,
         statements=_on_leaps(association, scene, plane),
+        stated=scene.stated,
         clocks=_clocks_of(association, scene),
         name=str(scene.path),
     )
@@ -447,6 +450,8 @@ def update_scene(
         tidal=scene.tidal,
         static_intervals=static_intervals,
         landmarks=landmarks,
+        # All else was told to the model; refraction is another on another day.
+        stated=StatedCamera(effective_earth_radius_m=scene.camera.stated.effective_earth_radius_m),
         clocks=clocks,
         name=str(scene.path),
     )
@@ -468,6 +473,7 @@ def recognised_correspondences(
     """Correspondences of the associated boxes, thinned."""
     boxes, names, vessels, places, velocities, levels = [], [], [], [], [], []
     sigmas, around = [], []
+    sizes, middles = [], []
     by_name = {watch.name: watch for watch in association.watches}
     for found in association.found:
         watch = by_name[found.recording]
@@ -485,6 +491,10 @@ def recognised_correspondences(
         # What short gaps leave open is told by the noise that the fit estimates.
         sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
         around.append(at.fix_time_utc_s[known])
+        recording = scene[found.recording]
+        hull = recording.hull() if len(recording.logs()) == 1 else Hull()
+        sizes.append(np.tile(hull.size_m, (int(known.sum()), 1)))
+        middles.append(np.full(int(known.sum()), hull.antenna_known))
         if scene.tidal:
             levels.append(levels_at(scene[found.recording], times[known] - watch.zone_s))
     return Correspondences(
@@ -498,6 +508,8 @@ def recognised_correspondences(
         water_level_m=np.concatenate([np.empty(0), *levels]),
         fix_sigma_m=np.concatenate(sigmas),
         fix_time_utc_s=np.concatenate(around),
+        hull_m=np.concatenate(sizes),
+        at_middle=np.concatenate(middles),
     )
 
 

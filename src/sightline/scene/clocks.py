@@ -41,7 +41,8 @@ def settle_clocks(scene: Scene, plane: LocalPlane, prior: CameraPrior | None = N
     Args:
         scene: With drawn boxes.
         plane: The plane of the places.
-        prior: Of the camera. Absent: that of an ordinary one.
+        prior: Of the camera. Absent: that of an ordinary one, with what the scene states but the
+            heading: a wrong one is as a wrong clock where a vessel crosses the picture.
 
     Raises:
         InputError: A file of the scene cannot be used.
@@ -58,10 +59,11 @@ def settle_clocks(scene: Scene, plane: LocalPlane, prior: CameraPrior | None = N
     control = scene.control_points
     places = np.stack(plane.to_plane(control.latitude_deg, control.longitude_deg), axis=1)
     known = scene.plane is not None or scene.moves
+    stated = replace(scene.stated, heading_deg=None)
     beliefs = CameraBeliefs(
         image_size_px=scene.image_size_px,
         n_sources=len(sources),
-        prior=prior or CameraPrior(),
+        prior=prior or stated.prior(CameraPrior(), scene.image_size_px),
         landmarks=control_landmarks(control.pixel_px, places) if len(control) else Landmarks.none(),
         settings=CameraFitSettings(
             position_known=known,

@@ -63,6 +63,7 @@ def collect(
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
         statements=_on_leaps(scene, pairs.plane),
+        stated=scene.stated,
         clocks=scene_clocks(scene),
         name=str(scene.path),
     )
@@ -191,6 +192,8 @@ def scene_correspondences(
                 bias_only=~np.isin(boxes.source[rows], drew),
                 fix_sigma_m=at.sigma_m[rows],
                 fix_time_utc_s=at.fix_time_utc_s[rows],
+                hull_m=np.tile(recording.hull().size_m, (rows.size, 1)),
+                at_middle=np.full(rows.size, recording.hull().antenna_known),
             )
         )
     if silent and len(silent) == len(parts):
@@ -219,6 +222,8 @@ def scene_correspondences(
         bias_only=np.concatenate([part.bias_only for part in parts]),
         fix_sigma_m=np.concatenate([part.fix_sigma_m for part in parts]),
         fix_time_utc_s=np.concatenate([part.fix_time_utc_s for part in parts]),
+        hull_m=np.concatenate([part.hull_m for part in parts]),
+        at_middle=np.concatenate([part.at_middle for part in parts]),
     )
 
 

@@ -16,12 +16,14 @@ from pathlib import Path
 import numpy as np
 
 from sightline import formats, video
+from sightline.camera.stated import PICTURE_FOCAL_SHARE, SLOTS, StatedCamera, stated_camera
 from sightline.clock import Clock, OffsetClock, presentation_clock
 from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.plausibility import check_near, check_together
+from sightline.scene.hull import Hull
 from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.water import WaterLevels
@@ -52,6 +54,7 @@ class CameraSite:
         longitude_deg: Degrees east; None if it is not known.
         image_size_px: Width and height; None where the scene file leaves that to the video.
         compensate_rotation: Whether camera rotation seen in the frames is compensated.
+        stated: What else the scene file states of the camera.
     """
 
     name: str = ""
@@ -59,6 +62,7 @@ class CameraSite:
     longitude_deg: float | None = None
     image_size_px: tuple[int, int] | None = None
     compensate_rotation: bool = True
+    stated: StatedCamera = field(default_factory=StatedCamera)
 
     @property
     def place_deg(self) -> tuple[float, float] | None:
@@ -88,6 +92,7 @@ class Recording:
         water_levels_path: A table of water levels, or None.
         image_size_px: Width and height of the picture where the scene file says it, or None.
         camera_place_deg: Latitude and longitude of the camera where the scene file says them.
+        stated_hull: What is stated of the hull of the target that was logged.
         clock_offset_s: How far the camera's clock is taken to be ahead of the log's: it is taken
             off all times of frames and boxes, which are then in the log's time.
         clock_prior: What was believed of that offset before any data.
@@ -109,6 +114,7 @@ class Recording:
     water_levels_path: Path | None = None
     image_size_px: tuple[int, int] | None = None
     camera_place_deg: tuple[float, float] | None = None
+    stated_hull: Hull = field(default_factory=Hull)
     clock_offset_s: float = 0.0
     clock_prior: ClockPrior = field(default_factory=ClockPrior)
     clock_found: ClockOffset | None = None
@@ -178,7 +184,7 @@ class Recording:
         return self._timed(boxes, path)
 
     def fixes(self) -> Fixes:
-        """The log of the target, as fixes.
+        """The log of the target, as fixes: of the middle of its hull, where that is known.
 
         Raises:
             InputError: The recording has none, it cannot be used, or all of it is so far from the
@@ -186,10 +192,22 @@ class Recording:
         """
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
-        fixes = _fixes(self.fixes_path, self.mmsi, self.fixes_path.stat().st_mtime_ns)
+        changed_ns = self.fixes_path.stat().st_mtime_ns
+        fixes = _fixes(self.fixes_path, self.mmsi, self.stated_hull, changed_ns)
         if self.camera_place_deg is not None:
             check_near(fixes, *self.camera_place_deg, str(self.fixes_path), "the camera")
         return fixes
+
+    def hull(self) -> Hull:
+        """The hull of the target that was logged: as stated, else as its AIS tells.
+
+        Raises:
+            InputError: As `fixes`.
+        """
+        if self.fixes_path is None:
+            return self.stated_hull
+        changed_ns = self.fixes_path.stat().st_mtime_ns
+        return self.stated_hull.completed(_log(self.fixes_path, self.mmsi, changed_ns)[1])
 
     def platform(self) -> Platform | None:
         """The platform that the camera is on; None where it is static.
@@ -317,6 +335,7 @@ class Scene:
             longitude_deg=table.camera.longitude_deg,
             image_size_px=(size[0], size[1]) if size else None,
             compensate_rotation=table.camera.compensate_rotation,
+            stated=stated_camera({key: getattr(table.camera, key) for key in SLOTS}),
         )
         names = [recording.name for recording in table.recordings]
         for name in names:
@@ -351,6 +370,25 @@ class Scene:
         if self.camera.latitude_deg is None or self.camera.longitude_deg is None:
             return None
         return LocalPlane(self.camera.latitude_deg, self.camera.longitude_deg)
+
+    @property
+    def stated(self) -> StatedCamera:
+        """What the scene file states of the camera, and the focal length that its pictures carry.
+
+        Of pictures that were cut out of others, or of which the file states it, it is not asked.
+        """
+        stated = self.camera.stated
+        cut = stated.principal_point_px is not None
+        if stated.focal_px is not None or stated.horizontal_fov_deg is not None or cut:
+            return stated
+        for recording in self.recordings:
+            if recording.frames_path is not None:
+                changed_ns = recording.frames_path.stat().st_mtime_ns
+                focal_px = _focal_length_px(recording.frames_path, changed_ns)
+                if focal_px is not None:
+                    sigma_px = PICTURE_FOCAL_SHARE * focal_px
+                    return replace(stated, focal_px=(focal_px, sigma_px), focal_in_pictures=True)
+        return stated
 
     @property
     def moves(self) -> bool:
@@ -486,8 +524,19 @@ def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
 
 # Recordings share their logs, which are long.
 @lru_cache(maxsize=32)
-def _fixes(path: Path, mmsi: int | None, _modified_ns: int) -> Fixes:
-    return formats.read_fixes(path, mmsi=mmsi)
+def _log(path: Path, mmsi: int | None, _modified_ns: int) -> tuple[Fixes, Hull]:
+    """Fixes of an antenna, and what its AIS tells of the hull."""
+    fixes = formats.read_fixes(path, mmsi=mmsi)
+    told = None
+    if fixes.name.isdecimal() and (mmsi is not None or formats.holds_ais(path)):
+        told = formats.read_ais_dimensions(path, int(fixes.name))
+    return fixes, Hull.of(None, None, told)
+
+
+@lru_cache(maxsize=32)
+def _fixes(path: Path, mmsi: int | None, stated: Hull, modified_ns: int) -> Fixes:
+    fixes, told = _log(path, mmsi, modified_ns)
+    return stated.completed(told).middle_of(fixes)
 
 
 @lru_cache(maxsize=32)
@@ -513,6 +562,15 @@ def _clock(path: Path, _modified_ns: int) -> Clock:
 @lru_cache(maxsize=128)
 def _video_info(path: Path, _modified_ns: int) -> video.VideoInfo:
     return video.video_info(path)
+
+
+@lru_cache(maxsize=128)
+def _focal_length_px(folder: Path, _modified_ns: int) -> float | None:
+    try:
+        first = next(iter(video.numbered_pictures(folder).values()))
+    except InputError:
+        return None
+    return video.focal_length_px(first)
 
 
 def _recording(
@@ -542,6 +600,7 @@ def _recording(
         clock_offset_s=clock.mean_s,
         clock_prior=clock,
         clock_found=None,
+        stated_hull=Hull.of(table.length_m, table.beam_m, table.antenna_m),
         **paths,
     )
 

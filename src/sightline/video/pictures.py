@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import warnings
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps
 
 from sightline.errors import BrokenOffError, InputError
 from sightline.tally import Tally
@@ -27,6 +28,9 @@ _FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "BMP")
 # Grey pictures of more than 8 bits, which Pillow would cut off at 255.
 _DEEP_MODES = ("I", "F", "I;16", "I;16L", "I;16B", "I;16N")
 _MOST_DIGITS = 18
+_FILM_DIAGONAL_MM = math.hypot(36.0, 24.0)
+# Zero means that the camera did not know; from a fisheye's to a telescope's.
+_SHORTEST_MM, _LONGEST_MM = 4.0, 20_000.0
 
 
 class GreyScale:
@@ -97,6 +101,37 @@ def read_picture(
         # What decoders raise on damaged files is no closed set.
         except Exception as error:
             raise _no_picture(path) from error
+
+
+def focal_length_px(path: str | os.PathLike[str], *, tally: Tally | None = None) -> float | None:
+    """The focal length that a picture's EXIF data states, pixels; None where it states none.
+
+    The data has it as that of a lens with the same field of view over 35-mm film, whose diagonal is
+    taken for that of the picture.
+
+    Args:
+        path: The picture.
+        tally: Told of it.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=_FORMATS) as stored:
+                stated = stored.getexif().get_ifd(ExifTags.IFD.Exif)
+                on_film_mm = float(stated.get(ExifTags.Base.FocalLengthIn35mmFilm, 0.0))
+                diagonal_px = math.hypot(*stored.size)
+    # What is damaged raises anything, and is refused where it is read for its pixels.
+    except Exception:
+        return None
+    if not _SHORTEST_MM <= on_film_mm <= _LONGEST_MM:
+        return None
+    focal_px = on_film_mm / _FILM_DIAGONAL_MM * diagonal_px
+    if tally is not None:
+        tally.note(
+            f"its EXIF data states a focal length of {on_film_mm:g} mm on 35-mm film, "
+            f"{focal_px:.0f} px"
+        )
+    return focal_px
 
 
 def _shown(stored: Image.Image, grey: GreyScale) -> NDArray[np.uint8]:
