@@ -79,6 +79,10 @@ class CameraFit:
         starts: How many there were.
         typical_range_m: Median distance of the correspondences from the camera.
         sizes: Of the targets; None where no boxes tell them.
+        negative_log_evidence: Negative logarithm of the density of data and noise, by which fits of
+            the same data under other priors are compared; NaN where it is not known.
+        left_out_m: Root mean square error of the places of targets that were left out, metres; 0
+            where there was but one.
     """
 
     vector: FloatArray
@@ -95,6 +99,8 @@ class CameraFit:
     starts: int
     typical_range_m: float
     sizes: TargetSizes | None = None
+    negative_log_evidence: float = float("nan")
+    left_out_m: float = 0.0
 
     @property
     def layout(self) -> ParameterLayout:
@@ -304,6 +310,8 @@ class _Summary:
                 )
             ),
             sizes=self.model.hull.sizes,
+            negative_log_evidence=self.model.evidence,
+            left_out_m=self.model.left_out_m,
         )
 
     def with_all(self, fit: CameraFit, chosen: IntArray) -> CameraFit:

@@ -40,7 +40,11 @@ from sightline.camera.parameters import (
 )
 from sightline.camera.pinhole import Camera, project_with_jacobian
 from sightline.camera.priors import ANY_ASPECT, CameraPrior, PixelNoise, SourcePrior
-from sightline.camera.restricted_likelihood import RestrictedLikelihood, most_probable_noise
+from sightline.camera.restricted_likelihood import (
+    RestrictedLikelihood,
+    most_probable_noise,
+    negative_log_evidence,
+)
 from sightline.camera.target_sizes import BEAM_SHARE, TargetSizes
 from sightline.types import BoolArray, FloatArray, IntArray
 
@@ -124,6 +128,10 @@ class MixedModel:
         self.n_sources = n_sources
         # Whether what lasts a second or two in metres is the log's error, not the box's.
         self.of_log = False
+        # Of the targets that were left out to choose between the two.
+        self.left_out_m = 0.0
+        # Its negative logarithm, once noise was estimated.
+        self.evidence = float("nan")
         self.hull = Hulls(np.ones(len(sightings)), np.zeros((len(sightings), 2)))
         self.prior = prior
         self.position_known = position_known
@@ -470,15 +478,20 @@ class MixedModel:
         self.of_log = False
         if other is None or errors is None or errors_other is None:
             self.expect_hull(best.vector)
+            self.evidence = self.negative_log_evidence(best, estimated)
             return best, estimated, np.zeros(start.size)
+        self.left_out_m = self.root_mean_square(errors)
         more = errors_other - errors
         # Of the sum; parts are independent of one another, boxes of one part are not.
         sigma = np.sqrt(more.size * np.var(more, ddof=1))
         chance = float(norm.sf(np.abs(more.sum()) / max(sigma, 1e-12)))
         if more.sum() < 0.0:
             self.of_log = True
+            self.left_out_m = self.root_mean_square(errors_other)
             best, estimated, other = other, of_other, best
         self.expect_hull(best.vector)
+        # Of a maximum: the mean of two is none.
+        self.evidence = self.negative_log_evidence(best, estimated)
         apart = other.vector - best.vector
         apart[HEADING] = np.arctan2(np.sin(apart[HEADING]), np.cos(apart[HEADING]))
         mean = replace(best, vector=best.vector + chance * apart)
@@ -527,6 +540,11 @@ class MixedModel:
             of = np.flatnonzero(part % _FOLDS == fold)
             np.add.at(out, part[of], self.squared_errors(without.vector, rows[of]))
         return out
+
+    def root_mean_square(self, errors_m2: FloatArray) -> float:
+        """Root mean square of `left_out_errors`, metres; 0 where there is but one target."""
+        one = np.unique(self.sightings.log[self.boxes]).size == 1
+        return 0.0 if one else float(np.sqrt(errors_m2.sum() / self.boxes.sum()))
 
     def squared_errors(self, vector: FloatArray, rows: IntArray) -> FloatArray:
         """(K,) squared errors of places, square metres, of at most half of the distance."""
@@ -622,10 +640,21 @@ class MixedModel:
 
     def estimate_noise(self, found: LocalMaximum, before: PixelNoise) -> PixelNoise:
         """Maximum a posteriori noise of the residuals: see `RestrictedLikelihood`."""
+        return most_probable_noise(self.likelihood(found), before, heaving=self.heaving)
+
+    def negative_log_evidence(self, found: LocalMaximum, noise: PixelNoise) -> float:
+        """Negative logarithm of the density of data and noise; infinite where there is none."""
+        try:
+            return negative_log_evidence(self.likelihood(found), noise, heaving=self.heaving)
+        except LinAlgError:
+            return np.inf
+
+    def likelihood(self, found: LocalMaximum) -> RestrictedLikelihood:
+        """Restricted likelihood of the noise of the residuals."""
         residual, jacobian, by_point = self.linearise(found)
         mean, beliefs = self.beliefs(found.vector.size)
         own_m = np.where(self.boxes, 0.0, self.sightings.sigma_m)
-        likelihood = RestrictedLikelihood(
+        return RestrictedLikelihood(
             residual_px=residual,
             jacobian=jacobian,
             by_point=by_point,
@@ -638,4 +667,3 @@ class MixedModel:
             precision=beliefs.T @ beliefs,
             off_mean=found.vector - mean,
         )
-        return most_probable_noise(likelihood, before, heaving=self.heaving)

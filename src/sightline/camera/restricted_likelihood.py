@@ -8,6 +8,7 @@ nothing asks for goes to zero.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -118,6 +119,37 @@ class RestrictedLikelihood:
         return value, gradient | dict(zip(_WHITE, by_part.tolist(), strict=True))
 
 
+def _estimated(likelihood: RestrictedLikelihood, *, heaving: bool) -> list[str]:
+    """Names of the parts of the noise that a likelihood tells."""
+    if not likelihood.blocks:
+        return [*_WHITE]
+    # On a vessel what lasts a second or two is its heave.
+    return [*_WHITE, *_CORRELATED, *(("heave_m",) if heaving else _LASTING)]
+
+
+def negative_log_evidence(
+    likelihood: RestrictedLikelihood, noise: PixelNoise, *, heaving: bool = False
+) -> float:
+    """Negative logarithm of the density of data and noise, the parameters integrated out.
+
+    Models of the same data whose priors differ can be compared by it: it holds how wide these are.
+
+    Args:
+        likelihood: Of the residuals.
+        noise: Estimated.
+        heaving: Whether the camera heaves.
+
+    Raises:
+        LinAlgError: A covariance is not positive definite.
+    """
+    value, _ = likelihood(noise)
+    for name in _estimated(likelihood, heaving=heaving):
+        size = getattr(noise, name)
+        value += NOISE_PRIORS[name].penalty(math.log(size))[0] if size > 0.0 else 0.0
+    held = np.diag(likelihood.precision)
+    return value - 0.5 * float(np.log(held[held > 0.0]).sum())
+
+
 def most_probable_noise(
     likelihood: RestrictedLikelihood, before: PixelNoise, *, heaving: bool = False
 ) -> PixelNoise:
@@ -131,11 +163,7 @@ def most_probable_noise(
     Raises:
         LinAlgError: A covariance on the way is not positive definite.
     """
-    names = [*_WHITE]
-    if likelihood.blocks:
-        names += _CORRELATED
-        # On a vessel what lasts a second or two is its heave.
-        names += ("heave_m",) if heaving else _LASTING
+    names = _estimated(likelihood, heaving=heaving)
     priors = [NOISE_PRIORS[name] for name in names]
 
     def noise_at(logs: FloatArray) -> PixelNoise:
