@@ -42,7 +42,7 @@ from sightline.camera.priors import (
 from sightline.camera.target_sizes import USUAL_SPREAD, TargetSizes
 from sightline.georeferencing.model_file import numbers_of_shape
 from sightline.georeferencing.observations import CameraObservations
-from sightline.georeferencing.one_box import place_one
+from sightline.georeferencing.one_box import MOST_SQUARED, place_one
 from sightline.georeferencing.paper.estimator import Arrays, Settings
 from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.residual_gp import Hyperparameters, ResidualProcess
@@ -52,7 +52,8 @@ FEWEST_FOR_RESIDUAL = 10
 """With fewer boxes a camera is all that can be learned."""
 
 LARGEST_RELATIVE_SIGMA = 0.5
-"""A box whose range is less certain than this share of itself has no position."""
+"""A box whose range is less certain than this share of itself has no position; one nearer than what
+the camera was learned from, if it is less certain than this share of that."""
 
 LARGEST_GAP_SIGMA_M = 1.0
 """The residual process learns from boxes in gaps of a log where these say the place to this."""
@@ -208,7 +209,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         each = above.ndim > 0
         if n == 1:
             name = "" if source is None else str(np.ravel(source)[0])
-            one = place_one(self, boxes[0], name, LARGEST_RELATIVE_SIGMA, float(above.ravel()[0]))
+            one = place_one(self, boxes[0], name, self._largest_sigma_m, float(above.ravel()[0]))
             if one is not None:
                 return one if return_shared else one[:2] if return_cov else one[0]
         places, covariance = np.empty((n, 2)), np.empty((n, 2, 2))
@@ -343,6 +344,9 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         spread = np.array(ANY_ASPECT_SPREAD)[:, None] * np.ones(width_m.shape)
         return any_aspect, any_aspect, spread
 
+    def _largest_sigma_m(self, distance_m: float) -> float:
+        return LARGEST_RELATIVE_SIGMA * max(distance_m, self.fit_.typical_range_m)
+
     def _see(
         self, boxes: FloatArray, source: str, above_m: FloatArray, *, heave: bool = True
     ) -> _Seen:
@@ -355,6 +359,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
         shift[:, 0] += of_target @ hull.shares
         moved = np.einsum("kin,kin->in", shift, shift)
+        skewed = _ranges_variance(moved[0], at.distance_m) - moved[0]
         if self.above_sigma_m > 0.0:
             moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
         slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
@@ -375,6 +380,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             at.sine,
             at.cosine,
             moved=moved,
+            skewed=skewed,
             moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
             noise=noise + lasting,
             noise_mixed=of_column * by_column[0] * by_column[1]
@@ -422,10 +428,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             seen = self._see(boxes, source, above_m)
-            limit = (LARGEST_RELATIVE_SIGMA * seen.distance) ** 2
+            reach = np.maximum(seen.distance, self.fit_.typical_range_m)
+            limit = (LARGEST_RELATIVE_SIGMA * reach) ** 2
             known = seen.moved[0] + seen.noise[0] < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
         along, across = seen.moved + self.clock_variance
+        along += seen.skewed
         mixed = seen.moved_mixed
         if self.range_process_ is None or self.bearing_process_ is None:
             own_along, own_across = seen.noise
@@ -540,6 +548,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         gain, error = self.range_process_.gain()
         if gain < -error:
             self.range_process_ = self.bearing_process_ = None
+
+    def with_fit(self, fit: CameraFit) -> Self:
+        """The model with another fit of its camera, of the same sources."""
+        other = copy.copy(self)
+        other.fit_ = fit
+        other._prepare()
+        return other
 
     def without_residual(self) -> Self:
         """The camera of this model alone."""
@@ -672,6 +687,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return model
 
 
+def _ranges_variance(along_m2: FloatArray, distance_m: FloatArray) -> FloatArray:
+    """As `ranges_variance`, of many."""
+    squared = np.minimum(along_m2 / (distance_m * distance_m), MOST_SQUARED)
+    spread = np.expm1(2.0 * squared) - 2.0 * np.expm1(0.5 * squared)
+    return np.asarray(distance_m * distance_m * spread)
+
+
 def _with_all_parameters(arrays: Arrays, size: int) -> Arrays:
     """Arrays of a model file; earlier ones had no principal point and no curvature.
 
@@ -741,6 +763,7 @@ class _Seen:
         sine: (N,) of the bearing.
         cosine: (N,) of the bearing.
         moved: (2, N) variance along and across the line of sight that the parameters make.
+        skewed: (N,) by how much a range that is multiplied by its error varies more than that.
         moved_mixed: (N,) the covariance of the two.
         noise: (2, N) variance along and across that the box's noise makes.
         noise_mixed: (N,) the covariance of the two.
@@ -754,6 +777,7 @@ class _Seen:
     sine: FloatArray
     cosine: FloatArray
     moved: FloatArray
+    skewed: FloatArray
     moved_mixed: FloatArray
     noise: FloatArray
     noise_mixed: FloatArray

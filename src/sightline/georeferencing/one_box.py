@@ -7,6 +7,7 @@ operations is that of calling them, some hundred of them; numbers take a few mic
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +17,9 @@ from sightline.camera.pinhole import BY_ABOVE, BY_COLUMN, BY_ROW, Camera, locate
 from sightline.camera.priors import ANY_ASPECT, ANY_ASPECT_SPREAD
 from sightline.georeferencing.residual_gp import ResidualProcess
 from sightline.types import FloatArray
+
+MOST_SQUARED = 4.0
+"""Squared relative deviations beyond this tell nothing, and would only overflow."""
 
 
 class FittedCamera(Protocol):
@@ -40,7 +44,7 @@ def place_one(
     model: FittedCamera,
     box: FloatArray,
     source: str,
-    largest_relative_sigma: float,
+    largest_sigma: Callable[[float], float],
     above_m: float = 0.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Position of one box.
@@ -49,7 +53,8 @@ def place_one(
         model: A fitted model.
         box: (4,) pixels.
         source: Who made the box.
-        largest_relative_sigma: Of the range; where it is less certain there is no position.
+        largest_sigma: By a range, its largest standard deviation; where it is less certain there
+            is no position.
         above_m: How high the water stands above the plane that the camera's height is over.
 
     Returns:
@@ -80,6 +85,7 @@ def place_one(
     shift = root @ by[:BY_COLUMN]
     shift[:, 0] += of_target @ (length, beam)
     (along, mixed), (_, across) = (shift.T @ shift).tolist()
+    skewed = ranges_variance(along, distance) - along
     along += (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
     slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
@@ -97,9 +103,9 @@ def place_one(
     own_along += last_along
     own_across = of_column * column_across**2 + of_row * row_across**2 + noise.place_m**2
     own_across += last_across
-    if not along + own_along < (largest_relative_sigma * distance) ** 2:
+    if not along + own_along < largest_sigma(distance) ** 2:
         return None
-    along += model.clock_variance
+    along += skewed + model.clock_variance
     across += model.clock_variance
     # Of the box's noise, the part that a moment later is the same.
     alike_along, alike_across = last_along / own_along, last_across / own_across
@@ -136,6 +142,17 @@ def place_one(
     shared = _turned(same_along, same_across, mixed + last_mixed, sine, cosine)
     whole = _turned(along + own_along, across + own_across, mixed + own_mixed, sine, cosine)
     return place, np.array(whole), np.array(shared)
+
+
+def ranges_variance(along_m2: float, distance_m: float) -> float:
+    """Variance of a range about its likeliest value, from that of a linear camera.
+
+    What parameters make of a range they multiply it by: a height that is known to a factor is a
+    range that is known to one. So it is taken to be log-normal, and the ellipse about the likeliest
+    range is as wide as the second moment about that. Of small variances it is the same.
+    """
+    squared = min(along_m2 / (distance_m * distance_m), MOST_SQUARED)
+    return distance_m * distance_m * (math.expm1(2.0 * squared) - 2.0 * math.expm1(0.5 * squared))
 
 
 def _turned(
