@@ -19,6 +19,7 @@ from sightline.camera.calibration import CameraFitSettings, fit_camera
 from sightline.camera.mixed_model import MixedModel
 from sightline.camera.observations import Landmarks, PointCorrespondences
 from sightline.camera.priors import CameraPrior, PixelNoise, SourcePrior
+from sightline.camera.stated_place import elsewhere, surprise
 from sightline.clock_offset import LARGEST_OFFSET_S, ZONES_S, ClockOffset, ClockPrior
 from sightline.errors import FitError
 from sightline.types import FloatArray
@@ -139,6 +140,14 @@ def search_clocks(
     """
     search = _Search(recordings, beliefs, largest_offset_s)
     best = search.best()
+    if beliefs.settings.position_known and not beliefs.settings.heaving:
+        # A camera that stands elsewhere looks like clocks that are off, and the other way round.
+        apart = replace(beliefs, prior=elsewhere(beliefs.prior))
+        other = _Search(recordings, apart, largest_offset_s)
+        found = other.believed() if best is None or search.off(best) else None
+        cost = surprise(beliefs.prior)
+        if found is not None and (best is None or found.score - cost > best.score):
+            search, best = other, found
     if best is None:
         return [_believed(one.prior) for one in recordings]
     # Where no camera explains the boxes, none can tell how late they are.
@@ -190,6 +199,17 @@ class _Search:
         if believed is not None and best.score < believed.score + _LEAST_LEAD:
             return believed
         return best
+
+    def off(self, one: _Candidate) -> bool:
+        """Whether a clock of a candidate is not what was believed of it."""
+        return bool((np.abs(one.offset_s - self.start_s) > _FREE_S).any())
+
+    def believed(self) -> _Candidate | None:
+        """The candidate at the clocks that were believed; None where it does not explain all."""
+        found = self.fitted(self.start_s)
+        if found is None or not (self._good(found, _GOOD) and self._covered(found)):
+            return None
+        return None if self._bad(found) or self.off(found) else found
 
     def _good(self, one: _Candidate, limit: float) -> bool:
         """Whether a camera explains the boxes that have places at its clocks."""

@@ -11,13 +11,24 @@ them worse than the first solution did, is no success: the last good one is kept
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import LinAlgError
 
+from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import PARAMETERS
 from sightline.camera.priors import CameraPrior
+from sightline.camera.stated_place import (
+    astray,
+    doubtful,
+    elsewhere,
+    in_words,
+    mixed,
+    relaxed,
+    share_elsewhere,
+)
 from sightline.errors import FitError
 from sightline.georeferencing.camera_regressor import CameraRegressor
 from sightline.georeferencing.correspondences import ALMOST_ALL, Correspondences
@@ -48,6 +59,13 @@ _FAR_SIGMAS = 4.5
 # Nobody sees a boat from further away.
 _FARTHEST_M = 100e3
 _FEWEST_TO_WEIGH = 8
+# Of where the camera stands: what is likelier is taken, and what is as good as out of the question
+# is in no ellipse.
+_LIKELIER, _NEGLIGIBLE = 0.5, 0.01
+
+
+Fitted = TypeVar("Fitted")
+"""What a fit gives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +76,16 @@ class StagedFit:
         model: Fitted.
         rows: (K,) int64, correspondences that it learned from.
         statements: Sentences for people.
+        estimated: The camera by the noise that is estimated, from certain correspondences, whether
+            it was kept or not; None where there is none.
+        taught: (K,) int64, those that it learned from.
     """
 
     model: BoxModel
     rows: IntArray
     statements: tuple[str, ...] = ()
+    estimated: CameraFit | None = None
+    taught: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -116,7 +139,7 @@ class Quality:
 
 
 def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0) -> StagedFit:
-    """Fit a model in stages.
+    """Fit a model in stages, from where the camera is said to stand, or where the data wants it.
 
     Args:
         kind: What is fitted.
@@ -127,10 +150,44 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
         FitError: There is too little, or no stage is a success; says what is wrong, and which fix
             it would look at first.
     """
-    pairs = observations.correspondences
     far = _far_away(observations)
     if far:
         raise FitError(far)
+    staged = _staged(kind, observations, seed)
+    stated = observations.position_known and not observations.moving
+    if not stated or not isinstance(kind, CameraModelType) or not staged.taught.size:
+        return staged
+    if staged.estimated is not None and not doubtful(staged.estimated):
+        return staged
+    return _where_the_data_wants(kind, observations, staged, seed)
+
+
+def _where_the_data_wants(
+    kind: CameraModelType, observations: Observations, staged: StagedFit, seed: int
+) -> StagedFit:
+    """A fit with the camera elsewhere, if the data prefers that, and what is to be said of it."""
+    other = replace(observations, prior=elsewhere(observations.prior))
+    # The camera alone settles where it stands.
+    plain = replace(kind, residual=False)
+    wide = _attempt(lambda: plain.fit(_of(other, staged.taught), seed=seed))
+    stated, apart = staged.estimated, None if wide is None else wide.camera_fit
+    if stated is not None and (apart is None or astray(apart, stated)):
+        apart = relaxed(stated)
+    if apart is None:
+        return staged
+    share = share_elsewhere(apart, stated)
+    found = _attempt(lambda: _staged(kind, other, seed)) if share > _LIKELIER else None
+    said = in_words(apart, share, taken=found is not None)
+    if found is not None:
+        staged, apart, share = found, stated, 1.0 - share
+    model = staged.model
+    if apart is not None and share > _NEGLIGIBLE and isinstance(model, CameraRegressor):
+        staged = replace(staged, model=model.with_fit(mixed(model.camera_fit, apart, share)))
+    return replace(staged, statements=(*((said,) if said else ()), *staged.statements))
+
+
+def _staged(kind: ModelType, observations: Observations, seed: int) -> StagedFit:
+    pairs = observations.correspondences
     certain = pairs.certain_rows()
     if not isinstance(kind, CameraModelType) or not len(pairs):
         return _in_one(kind, observations, certain, seed)
@@ -139,7 +196,7 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
     except FitError:
         # Noise that is estimated may find what the usual one does not.
         return _in_one(kind, observations, certain, seed)
-    model, said = _fitted(kind, _of(observations, first.rows), first, seed)
+    model, said, full = _fitted(kind, _of(observations, first.rows), first, seed)
     rows, statements = first.rows, [*sentences(first.wrong), *said]
     if certain.size < ALMOST_ALL * len(pairs):
         more = np.setdiff1d(np.flatnonzero(~_beside(pairs, first.wrong)), certain)
@@ -152,7 +209,8 @@ def fit_in_stages(kind: ModelType, observations: Observations, *, seed: int = 0)
         if wider is not None and kept:
             model, rows = wider, whole
         statements.append(_on_gaps(pairs, rows))
-    return StagedFit(model, rows, tuple(statements))
+    estimated = None if full is None else full.camera_fit
+    return StagedFit(model, rows, tuple(statements), estimated, first.rows)
 
 
 def _in_one(kind: ModelType, observations: Observations, rows: IntArray, seed: int) -> StagedFit:
@@ -161,7 +219,7 @@ def _in_one(kind: ModelType, observations: Observations, rows: IntArray, seed: i
     model = kind.fit(part, seed=seed)
     if rows.size:
         _check(model, part)
-    return StagedFit(model, rows)
+    return StagedFit(model, rows, (), model.camera_fit, rows)
 
 
 def _beside(pairs: Correspondences, wrong: tuple[WrongFix, ...]) -> BoolArray:
@@ -219,23 +277,23 @@ class _First:
 
 def _fitted(
     kind: CameraModelType, observations: Observations, first: _First, seed: int
-) -> tuple[BoxModel, tuple[str, ...]]:
-    """The last good stage of a fit, and what is to be said of it."""
+) -> tuple[BoxModel, tuple[str, ...], CameraRegressor | None]:
+    """The last good stage of a fit, what is to be said of it, and what came of estimated noise."""
     full = _attempt(lambda: kind.fit(observations, seed=seed))
     if full is not None and first.quality_of(full, observations).holds_against(first.quality):
-        return full, ()
+        return full, (), full
     if full is not None and kind.residual:
         plain = full.without_residual()
         if first.quality_of(plain, observations).holds_against(first.quality):
-            return plain, (_WITHOUT_RESIDUAL,)
+            return plain, (_WITHOUT_RESIDUAL,), full
     if not first.quality.success:
         raise FitError(_what_is_wrong(observations, first))
     worst = _where(observations, first)
-    return first.model, (_USUAL_NOISE, *((f"Look at the log{worst}.",) if worst else ()))
+    return first.model, (_USUAL_NOISE, *((f"Look at the log{worst}.",) if worst else ())), full
 
 
-def _attempt(fit: Callable[[], CameraRegressor]) -> CameraRegressor | None:
-    """A fitted model, None where the fit fails: then an earlier stage stands."""
+def _attempt(fit: Callable[[], Fitted]) -> Fitted | None:
+    """What a fit gives, None where the fit fails: then an earlier stage stands."""
     try:
         return fit()
     except (FitError, LinAlgError):
