@@ -10,6 +10,7 @@ import pytest
 
 from sightline.camera import mixed_model, stated, target_sizes
 from sightline.camera.priors import NOISE_PRIORS, CameraPrior
+from sightline.camera.stated_place import WRONG_PLACE_SHARE, WRONG_PLACE_SIGMA_M
 from sightline.clock_offset import STATED_SIGMA_S, USUAL_SIGMA_S
 from sightline.georeferencing.camera_regressor import UNSEEN_BIAS_PX
 
@@ -22,6 +23,8 @@ def numbers_of_the_code() -> dict[str, tuple[float, ...]]:
         "UNSEEN_BIAS_PX": (UNSEEN_BIAS_PX,),
         "USUAL_SIGMA_S": (USUAL_SIGMA_S,),
         "STATED_SIGMA_S": (STATED_SIGMA_S,),
+        "WRONG_PLACE_SIGMA_M": (WRONG_PLACE_SIGMA_M,),
+        "WRONG_PLACE_SHARE": (WRONG_PLACE_SHARE,),
     }
     for name in ("BEAM_SHARE", "USUAL_SPREAD", "_WIDTH_SIGMA"):
         out[name] = (getattr(target_sizes, name),)

@@ -11,6 +11,7 @@ from scipy.stats import multivariate_normal
 from sightline.camera.calibration import CameraFit
 from sightline.camera.parameters import HEADING, LOG_FOCAL, NORTH, POSITION, ParameterLayout
 from sightline.camera.priors import CameraPrior, PixelNoise
+from sightline.camera.restricted_likelihood import RestrictedLikelihood, negative_log_evidence
 from sightline.camera.stated_place import (
     WRONG_PLACE_SHARE,
     WRONG_PLACE_SIGMA_M,
@@ -60,6 +61,32 @@ def fitted(matrix: FloatArray, observed: FloatArray, position_sigma_m: float) ->
         typical_range_m=1000.0,
         negative_log_evidence=-float(multivariate_normal(np.zeros(ROWS), whole).logpdf(observed)),
     )
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_densities_under_two_priors_differ_as_those_of_gaussians(seed: int) -> None:
+    matrix, observed = data(seed, (40.0, -60.0))
+    noise = PixelNoise(row_px=1.0, column_px=1.0)
+    at = np.random.default_rng(seed).normal(size=SIZE)
+    found, expected = [], []
+    for sigma_m in (3.0, 300.0):
+        one = fitted(matrix, observed, sigma_m)
+        expected.append(one.negative_log_evidence)
+        likelihood = RestrictedLikelihood(
+            residual_px=(observed - matrix @ at).reshape(-1, 2),
+            jacobian=matrix.reshape(-1, 2, SIZE),
+            by_point=np.zeros((ROWS // 2, 2, 3)),
+            pixels_per_metre=np.zeros(ROWS // 2),
+            is_box=np.ones(ROWS // 2, dtype=np.bool_),
+            known_m2=np.zeros(ROWS // 2),
+            weight=np.ones((ROWS // 2, 2)),
+            blocks=[],
+            half_lengths_m=np.zeros((ROWS // 2, 2)),
+            precision=np.diag(one.prior_sigma**-2.0),
+            off_mean=at,
+        )
+        found.append(negative_log_evidence(likelihood, noise))
+    assert found[1] - found[0] == pytest.approx(expected[1] - expected[0], rel=1e-6)
 
 
 WIDE_M = elsewhere(None).position_sigma_m
