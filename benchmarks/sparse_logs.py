@@ -2,12 +2,13 @@
 
     python benchmarks/sparse_logs.py [--scene SCENE] [--every 1 10 20 30] [--phases 1]
 
-Recordings of the AI Tracks at Sea challenge, whose log has a fix a second. Of it are kept the fixes
-of each k-th second, and nothing else is told to the fit; each recording is left out in turn. Its
-boxes are placed one by one and compared with the whole log, where that has fixes near enough on
-both sides. With several phases the figures are those of all of them together: which second of k
-the log happened to keep is chance. The last columns say how many boxes had a place in the thinned
-log, all recordings together, of those that a fix a second gives one.
+Recordings of the AI Tracks at Sea challenge, whose log has a fix every one or two seconds, with
+gaps. Of it are kept the first fix in each k seconds, as a tracker logs that is set to k seconds
+("first"), or only those whose second k divides, which leaves gaps of several times k ("divided").
+Nothing else is told to the fit; each recording is left out in turn. Its boxes are placed one by one
+and compared with the whole log, where that has fixes near enough on both sides. With several phases
+the figures are those of all of them together: which fix of k seconds a log happens to keep is
+chance. The last column says how many boxes had a place in the thinned log.
 """
 
 from __future__ import annotations
@@ -33,21 +34,25 @@ from sightline.scene.correspondences import collect
 from sightline.types import Fixes
 
 MODELS = ("camera+gpr", "camera")
+KEPT = ("first", "divided")
 
 
-def kept(log: Fixes, every_s: int, phase_s: int) -> Fixes:
-    """The fixes of each k-th second of a log."""
-    return log[np.floor(log.time_utc_s).astype(np.int64) % every_s == phase_s]
+def kept(log: Fixes, how: str, every_s: int, phase_s: int) -> Fixes:
+    """Some fixes of a log; see the top of this file."""
+    second = np.floor(log.time_utc_s).astype(np.int64) - phase_s
+    if how == "divided":
+        return log[second % every_s == 0]
+    return log[np.flatnonzero(np.diff(second // every_s, prepend=second[0] // every_s - 1))]
 
 
-def thinned(scene: Scene, every_s: int, phase_s: int, folder: Path) -> Scene:
+def thinned(scene: Scene, how: str, every_s: int, phase_s: int, folder: Path) -> Scene:
     """A scene whose logs are thinned; they are written to a folder."""
     recordings = []
     for one in scene.recordings:
         if one.fixes_path is not None and every_s > 1:
-            path = folder / f"{one.fixes_path.stem}-{every_s}-{phase_s}.csv"
+            path = folder / f"{one.fixes_path.stem}-{how}-{every_s}-{phase_s}.csv"
             if not path.is_file():
-                formats.write_fixes_csv(kept(one.fixes(), every_s, phase_s), path)
+                formats.write_fixes_csv(kept(one.fixes(), how, every_s, phase_s), path)
             one = replace(one, fixes_path=path)
         recordings.append(one)
     return replace(scene, recordings=tuple(recordings))
@@ -73,11 +78,11 @@ def left_out_scores(
     return out, len(pairs)
 
 
-def row(every_s: int, model: str, parts: Iterable[ScoredPairs], share: float) -> str:
+def row(how: str, every_s: int, model: str, parts: Iterable[ScoredPairs], share: float) -> str:
     whole = ScoredPairs.concatenate(list(parts))
     error = absolute_error(whole)
     return (
-        f"| {every_s} | `{model}` | {error.n} | {error.rmse:.2f} | {error.median:.2f} "
+        f"| {every_s} | {how} | `{model}` | {error.n} | {error.rmse:.2f} | {error.median:.2f} "
         f"| {coverage(whole).p95:.0%} | {share:.0%} |"
     )
 
@@ -89,25 +94,30 @@ def main() -> None:
     parser.add_argument("--scene", help="the scene file of the recordings")
     parser.add_argument("--every", nargs="*", type=int, default=(1, 10, 20, 30), metavar="S")
     parser.add_argument("--phases", type=int, default=1, help="so many of the k ways to thin a log")
+    parser.add_argument("--kept", nargs="*", choices=KEPT, default=KEPT, help="which fixes")
     chosen = parser.parse_args()
     logging.disable(logging.WARNING)
     scene = Scene.load(challenge_scene(chosen.scene))
     whole = collect(scene, pictures=False).correspondences
     truth = whole[whole.fix_sigma_m == 0.0]
-    print("| a fix every, s | model | boxes | RMSE, m | median, m | in 95 % | used |")
-    print("|---:|---|---:|---:|---:|---:|---:|", flush=True)
+    print("| a fix every, s | kept | model | boxes | RMSE, m | median, m | in 95 % | used |")
+    print("|---:|---|---|---:|---:|---:|---:|---:|", flush=True)
+    asked = sum(len(r.boxes()) for r in scene.recordings if r.boxes_path and r.fixes_path)
     with TemporaryDirectory() as folder:
-        for every_s in chosen.every:
-            phases = np.unique(np.arange(chosen.phases) * every_s // chosen.phases)
-            parts: dict[str, list[ScoredPairs]] = {model: [] for model in MODELS}
-            used = []
-            for phase_s in phases.tolist():
-                own, count = left_out_scores(thinned(scene, every_s, phase_s, Path(folder)), truth)
-                used.append(count / len(whole))
+        for how in chosen.kept:
+            for every_s in chosen.every if how == KEPT[0] else [k for k in chosen.every if k > 1]:
+                phases = np.unique(np.arange(chosen.phases) * every_s // chosen.phases)
+                parts: dict[str, list[ScoredPairs]] = {model: [] for model in MODELS}
+                used = []
+                for phase_s in phases.tolist():
+                    sparse = thinned(scene, how, every_s, phase_s, Path(folder))
+                    own, count = left_out_scores(sparse, truth)
+                    used.append(count / asked)
+                    for model in MODELS:
+                        parts[model] += own[model]
                 for model in MODELS:
-                    parts[model] += own[model]
-            for model in MODELS:
-                print(row(every_s, model, parts[model], float(np.mean(used))), flush=True)
+                    share = float(np.mean(used))
+                    print(row(how, every_s, model, parts[model], share), flush=True)
 
 
 if __name__ == "__main__":
