@@ -38,8 +38,8 @@ _SMOOTH_S = 1.0
 # white acceleration is half alike at half a gap.
 _STRAYS_SHARE = 0.42
 
-# Degrees of freedom of the variance of a gap. Of fixes that were taken out of logs of small boats,
-# one in a hundred is further off than four standard deviations.
+# Degrees of freedom of the variance of a gap: the few that are usual for tails of which little is
+# known. Set by hand, with one bay in sight, and not estimated.
 _BOUT_FREEDOM = 4.0
 # A gap in which a vessel went so much further astray tells nothing any more.
 _MOST_STRAYING = 100.0
