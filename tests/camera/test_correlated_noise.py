@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from _support.traffic import Traffic
-from scipy.optimize import approx_fprime
+from scipy.optimize import approx_fprime, minimize_scalar
 from scipy.stats import chi2, multivariate_normal
 
 from sightline.camera.correlated_noise import (
@@ -123,6 +123,42 @@ def test_residuals_become_independent_of_unit_variance(gaps: bool) -> None:
     covariance = world.covariance(world.variance_px2)
     np.testing.assert_allclose(made @ covariance @ made.T, np.eye(22), atol=1e-10)
     assert whitening.log_determinant() == pytest.approx(0.5 * np.linalg.slogdet(covariance)[1])
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_a_gap_is_as_wide_as_a_t_distribution_makes_it_likeliest(seed: int) -> None:
+    """The largest density of residuals and variance, the inverse of that a gamma variable."""
+    world = World(seed, gaps=True)
+    world.time_s[:4] = [3.0, 7.0, 12.0, 16.0]
+    world.gap_s[:4] = 0.0, 20.0
+    world.sigma_m[:4] = 4.0, 6.0, 6.0, 4.0
+    blocks = blocks_of(world.time_s, world.group, world.sigma_m, world.gap_s)
+    share = np.ones(11)
+    for _ in range(300):
+        whitening = Whitening(
+            [block.with_gaps(share[block.rows]) for block in blocks],
+            world.variance_px2,
+            world.by_place,
+            NOISE,
+            world.by_height,
+            world.half_lengths_m,
+        )
+        pull = whitening.backward(whitening.forward(world.pixel_px[:, :, None]))[:, :, 0]
+        share = whitening.strays(pull, share)
+    sigma_m, residual = world.sigma_m, world.pixel_px.ravel()
+
+    def negative_log(log: float) -> float:
+        world.sigma_m = sigma_m * np.exp(0.5 * log)
+        covariance = world.covariance(world.variance_px2)
+        value = 0.5 * residual @ np.linalg.solve(covariance, residual)
+        value += 0.5 * np.linalg.slogdet(covariance)[1]
+        # Of four degrees of freedom, as a density of the logarithm.
+        return float(value - (-2.0 * log - 2.0 * np.exp(-log)))
+
+    best = minimize_scalar(negative_log, bounds=(-4.0, 4.0), method="bounded").x
+    assert share[:4] == pytest.approx(np.exp(best), rel=1e-3)
+    # Of what has no gap nothing is known.
+    np.testing.assert_array_equal(share[4:], 1.0)
 
 
 @pytest.mark.parametrize("gaps", [False, True])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from sightline.pipeline.evaluate import evaluate, place_boxes
 from sightline.pipeline.fit import fit
 from sightline.pipeline.track import TrackSettings, track
 from sightline.scene import Scene
-from sightline.scene.correspondences import settled
+from sightline.scene.correspondences import collect, settled
 from sightline.types import Track
 
 
@@ -180,6 +181,23 @@ def test_a_log_of_part_of_a_recording_makes_its_clock_no_other(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [21, 31])
+@pytest.mark.parametrize("every_s", [20, 40])
+def test_a_sparse_log_of_another_hour_tells_no_clock(
+    tmp_path: Path, seed: int, every_s: int
+) -> None:
+    """In gaps as long a vessel may have been where the boxes are, at any clock."""
+    scene = drawn_scene(tmp_path, {"01": 0.0, "02": 0.0}, seed=seed, duration_s=60.0)
+    other, own = scene["01"].fixes(), scene["02"]
+    early_s = other.time_utc_s.mean() - (own.boxes().time_utc_s.mean() - 1800.0)
+    elsewhere = replace(other, time_utc_s=other.time_utc_s - early_s)
+    path = own.fixes_path
+    assert path is not None
+    formats.write_fixes(elsewhere[np.arange(0, len(elsewhere), every_s)], path)
+    assert settled(Scene.load(scene.path))["02"].clock_offset_s == 0.0
+
+
+@pytest.mark.slow
 def test_a_run_writes_and_scores_tracks_in_the_logs_time(tmp_path: Path, right: Scene) -> None:
     scene = drawn_scene(tmp_path, {"01": 40.0, "02": 40.0}, duration_s=60.0)
     result, expected = sightline.run(scene), sightline.run(right)
@@ -222,3 +240,25 @@ def test_a_recording_left_out_is_scored_at_a_clock_of_its_own(
     assert second.clock is not None
     assert abs(first.clock.offset_s - 3.0) < 3.0 * first.clock.sigma_s
     assert abs(second.clock.offset_s + 20.0) < 3.0 * second.clock.sigma_s
+
+
+@pytest.mark.slow
+def test_what_has_no_place_in_a_log_is_said_with_number_and_reason(tmp_path: Path) -> None:
+    stated = "clock_offset_s = 0.0"
+    scene = drawn_scene(tmp_path, {"01": 0.0}, duration_s=200.0, keys=stated)
+    fixes, path = scene["01"].fixes(), scene["01"].fixes_path
+    assert path is not None
+    times = scene["01"].boxes().time_utc_s
+    since_s = fixes.time_utc_s - times.min()
+    left = (since_s <= 30.0) | ((since_s >= 160.0) & (since_s <= 185.0))
+    formats.write_fixes(fixes[left], path)
+    at_s = fixes.time_utc_s[left]
+    before, after = at_s[since_s[left] <= 30.0].max(), at_s[since_s[left] >= 160.0].min()
+    outside, long = (times > at_s.max()).sum(), ((times > before) & (times < after)).sum()
+    inputs = collect(Scene.load(scene.path), pictures=False)
+    assert len(inputs.correspondences) == times.size - outside - long
+    said = next(text for text in inputs.statements if "no place in the log" in text)
+    assert said.startswith(f"{outside + long} of {times.size} boxes ")
+    assert f"{outside} outside the time of the log" in said
+    assert f"{long} in gaps of the log of more than 120 s" in said
+    assert "recordings 01" in said

@@ -265,7 +265,7 @@ class _Summary:
         shares = [self._shared_error(found.standard[:, axis]) for axis in (0, 1)]
         crowding = np.stack([self._crowding(share) for share in shares], axis=1)
         whitening = Whitening(
-            self.model.blocks,
+            found.blocks,
             variance * crowding / found.weight,
             by_place,
             noise,

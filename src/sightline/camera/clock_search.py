@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from sightline.camera.calibration import CameraFitSettings, fit_camera
 from sightline.camera.mixed_model import MixedModel
@@ -282,7 +283,9 @@ class _Search:
             other = self.fitted(offset_s, [one.shape])
             if other is None or not other.median[index] < _GOOD:
                 continue
-            if other.score > one.score + _LEAST_LEAD:
+            # Of so many clocks one is likely by chance, where places in gaps may be anywhere.
+            looked = len(centres) * (2.0 * self.largest_s / _COARSE_S + 1.0)
+            if other.score > one.score + _LEAST_LEAD + np.log(looked):
                 one = other
         return one
 
@@ -419,14 +422,26 @@ class _Search:
     def _cost(
         self, problem: MixedModel, vector: FloatArray, noise: PixelNoise | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """(N,) squared standardised residuals and what each costs, in nats."""
+        """(N,) squared standardised residuals and what each costs, in nats.
+
+        A place in a gap of the log that might be anywhere is worth as little as none: a density
+        that is spread so much wider is so much lower. And what a vessel did in a gap is the same
+        for all boxes in it, which count as one as far as it is more than their own noise.
+        """
         aspect, noise = problem.aspect(vector), noise or self.noise
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             pixel = problem.project(vector, aspect)[0]
-            standard = (problem.sightings.pixel_px - pixel) / problem.sigmas(vector, noise)
+            sigma = problem.sigmas(vector, noise)
+            standard = (problem.sightings.pixel_px - pixel) / sigma
             square = np.sum(standard**2, axis=1)
+            own = problem.sigmas(vector, noise, gaps=False) / sigma
+            wider = -np.log(own).sum(axis=1)
         square = np.where(np.isfinite(square), np.minimum(square, _LARGEST), _LARGEST)
-        return square, _loss(square)
+        most = float(_loss(np.array(_UNMATCHED)))
+        wider = np.clip(np.nan_to_num(wider, nan=most, posinf=most), 0.0, most)
+        counts = np.maximum(np.mean(own**2, axis=1), 1.0 / _alike(problem.sightings))
+        counts = np.clip(np.nan_to_num(counts, nan=1.0), 0.0, 1.0)
+        return square, most + counts * (_loss(square) + wider - most)
 
     def _sightings(self, offset_s: FloatArray) -> PointCorrespondences:
         parts = []
@@ -483,7 +498,7 @@ class _Search:
                     beliefs=self.beliefs.sources,
                     settings=replace(self.beliefs.settings, clocks=clocks),
                 )
-            except FitError:
+            except (FitError, LinAlgError):
                 break
             own = fit.clock_groups
             sigma_s[own] = np.sqrt(np.diag(fit.covariance)[fit.layout.clocks])
@@ -515,6 +530,17 @@ def _distinct(found: Sequence[_Candidate]) -> list[_Candidate]:
 def _loss(square: FloatArray) -> FloatArray:
     """Negative logarithm of Student's density in two dimensions, against that at its middle."""
     return np.asarray(0.5 * (_DEGREES + 2.0) * np.log1p(square / _DEGREES))
+
+
+def _alike(sightings: PointCorrespondences) -> FloatArray:
+    """(N,) how many boxes are in the gap of its log that each is in; 1 where no gap is known."""
+    out = np.ones(len(sightings))
+    known = np.flatnonzero(np.isfinite(sightings.gap_s).all(axis=1))
+    if known.size:
+        gap = np.stack([sightings.group[known].astype(float), sightings.gap_s[known, 0]], axis=1)
+        _, of, count = np.unique(gap, axis=0, return_inverse=True, return_counts=True)
+        out[known] = count[of.ravel()]
+    return out
 
 
 def _points(landmarks: Landmarks, first: int) -> PointCorrespondences:

@@ -38,6 +38,12 @@ _SMOOTH_S = 1.0
 # white acceleration is half alike at half a gap.
 _STRAYS_SHARE = 0.42
 
+# Degrees of freedom of the variance of a gap: the few that are usual for tails of which little is
+# known. Set by hand, with one bay in sight, and not estimated.
+_BOUT_FREEDOM = 4.0
+# A gap in which a vessel went so much further astray tells nothing any more.
+_MOST_STRAYING = 100.0
+
 HEAVE_CORRELATION_TIME_S = 0.7
 """Correlation time of heave: by this a wave of five seconds is half gone after a fourth of it."""
 
@@ -60,6 +66,19 @@ class Block:
     fixes_s: FloatArray
     shares: FloatArray
     gap_m2: FloatArray | None = None
+
+    def with_gaps(self, share: FloatArray) -> Block:
+        """The same with the variances of its places in gaps of the log (n,) times as large."""
+        if self.gap_m2 is None:
+            return self
+        root = np.sqrt(share)
+        return replace(self, gap_m2=self.gap_m2 * np.outer(root, root))
+
+    @cached_property
+    def gap_rows(self) -> list[IntArray]:
+        """Rows of the block, by the gap of the log that they are in."""
+        _, of = np.unique(self.fixes_s[:, 0], return_inverse=True)
+        return [np.flatnonzero(of == gap) for gap in range(int(of.max()) + 1)]
 
     @cached_property
     def _fix_pairs(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -351,6 +370,38 @@ class Whitening:
                 ahead *= self._noise.antenna_share**2
                 offset[block.rows] += ahead * self._half_lengths_m[block.rows]
         return drift, offset, body
+
+    def strays(self, weights: FloatArray, share: FloatArray) -> FloatArray:
+        """(N,) likelier variances in gaps of the log, as shares of what motion models say.
+
+        Vessels turn in bouts, so that what a motion model leaves in a gap has the tails of
+        Student's t: its variance is a random effect, of `_BOUT_FREEDOM` degrees of freedom, and all
+        places in a gap share it (expectation and maximisation; Lange, Little and Taylor 1989,
+        "Robust statistical modeling using the t distribution").
+
+        Args:
+            weights: (N, 2) of `backward`, inverse covariance times residuals.
+            share: (N,) variances as shares, under which they were made.
+        """
+        pulled = np.einsum("nij,ni->nj", self._by_place, weights)
+        out = share.copy()
+        for block, factor in zip(self._blocks, self.factors, strict=True):
+            if block.gap_m2 is None:
+                continue
+            inverse, _ = lapack.dpotri(factor, lower=True)
+            inverse += np.tril(inverse, -1).T
+            for part in block.gap_rows:
+                rows, kernel = block.rows[part], block.gap_m2[np.ix_(part, part)]
+                by_place, flat = self._by_place[rows], (2 * part[:, None] + [0, 1]).ravel()
+                own = inverse[np.ix_(flat, flat)].reshape(part.size, 2, part.size, 2)
+                told = np.einsum(
+                    "nij,nimk,mkj,nm->", by_place, own, by_place, kernel, optimize=True
+                )
+                found = np.einsum("ni,nm,mi->", pulled[rows], kernel, pulled[rows])
+                more = _BOUT_FREEDOM + share[rows] * max(float(found), 0.0)
+                more /= _BOUT_FREEDOM + max(float(told), 0.0)
+                out[rows] = np.minimum(more, _MOST_STRAYING)
+        return out
 
     def log_determinant(self) -> float:
         """Half the logarithm of the determinant of the covariance."""

@@ -20,7 +20,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
-from sightline.camera.correlated_noise import Whitening, blocks_of
+from sightline.camera.correlated_noise import Block, Whitening, blocks_of
 from sightline.camera.observations import NO_SOURCE, PointCorrespondences
 from sightline.camera.parameters import (
     BIAS_M,
@@ -77,12 +77,14 @@ class LocalMaximum:
         shift_m: (N, 2) how far the places at which derivatives are taken lie from the log's.
         weight: (N, 2) how much each column and row counts, 0 to 1.
         standard: (N, 2) residuals without correlated error, over their standard deviations.
+        blocks: Of correlated errors, those of gaps as large as they were found to be.
     """
 
     vector: FloatArray
     shift_m: FloatArray
     weight: FloatArray
     standard: FloatArray
+    blocks: list[Block]
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,13 +367,13 @@ class MixedModel:
         """(N,) standard deviations of the places, metres; a control point has its own."""
         return np.where(self.boxes, noise.place_m, self.sightings.sigma_m)
 
-    def sigmas(self, vector: FloatArray, noise: PixelNoise) -> FloatArray:
+    def sigmas(self, vector: FloatArray, noise: PixelNoise, *, gaps: bool = True) -> FloatArray:
         """(N, 2) standard deviations of column and row, pixels, without correlated noise.
 
-        What gaps of the logs make counts, as of each box alone.
+        What gaps of the logs make counts, as of each box alone, but for where it is not asked.
         """
         by_place = self.project(vector, self.aspect(vector))[2][:, :, :2]
-        place_m2 = self.place_sigma(noise) ** 2 + self.gap_sigma_m**2
+        place_m2 = self.place_sigma(noise) ** 2 + (self.gap_sigma_m**2 if gaps else 0.0)
         place = place_m2[:, None] * np.sum(by_place**2, axis=2)
         return np.asarray(np.sqrt(self.pixel_variance(vector, noise) + place))
 
@@ -404,6 +406,7 @@ class MixedModel:
         shift = np.zeros((len(self.sightings), 2))
         absent = np.zeros(len(self.sightings), dtype=bool) if left_out is None else left_out
         weight = np.where(absent[:, None], _NO_WEIGHT, np.ones((len(self.sightings), 2)))
+        blocks, gaps = self.blocks, np.ones(len(self.sightings))
         for _ in range(_MOST_STEPS):
             pixel, jacobian, by_point = self.project(vector, aspect, shift)
             if not (np.isfinite(pixel).all() and np.isfinite(jacobian).all()):
@@ -413,7 +416,7 @@ class MixedModel:
             variance = self.pixel_variance(vector, noise)
             variance += place_variance * np.sum(by_place**2, axis=2)
             whitening = Whitening(
-                self.blocks,
+                blocks,
                 variance / weight,
                 by_place,
                 noise,
@@ -440,12 +443,15 @@ class MixedModel:
             standard = pull * np.sqrt(variance) / weight
             weight = np.minimum(1.0, _HUBER / np.maximum(np.abs(standard), 1e-9))
             weight[absent] = _NO_WEIGHT
+            if self.gap_sigma_m.any():
+                gaps = whitening.strays(pull, gaps)
+                blocks = [block.with_gaps(gaps[block.rows]) for block in self.blocks]
             vector = vector + step
             if (np.abs(step) < _ENOUGH * np.sqrt(np.diag(covariance))).all():
                 break
         if not self.ahead(vector):
             return None
-        return LocalMaximum(vector, shift, weight, standard)
+        return LocalMaximum(vector, shift, weight, standard, blocks)
 
     def with_estimated_noise(
         self, start: FloatArray, wide_start: FloatArray, noise: PixelNoise
@@ -662,7 +668,7 @@ class MixedModel:
             is_box=self.boxes,
             known_m2=own_m**2,
             weight=found.weight,
-            blocks=self.blocks,
+            blocks=found.blocks,
             half_lengths_m=self.hull.half_lengths_m,
             precision=beliefs.T @ beliefs,
             off_mean=found.vector - mean,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,8 +49,9 @@ def collect(
     """
     plane = scene.plane
     scene = settled(scene)
+    dropped: list[Dropped] = []
     pairs = scene_correspondences(
-        scene, plane if plane is not None else _middle(scene), extra=extra
+        scene, plane if plane is not None else _middle(scene), extra=extra, dropped=dropped
     )
     anything = len(pairs) or len(scene.control_points)
     horizons = {recording.name: scene_horizons(recording) for recording in scene.recordings}
@@ -62,11 +64,65 @@ def collect(
         tidal=scene.tidal,
         horizons={name: seen for name, seen in horizons.items() if seen is not None},
         static_intervals=scene_static_intervals(scene, progress) if pictures and anything else {},
-        statements=_on_leaps(scene, pairs.plane),
+        statements=(*_on_leaps(scene, pairs.plane), *_on_dropped(dropped)),
         stated=scene.stated,
         clocks=scene_clocks(scene),
         name=str(scene.path),
     )
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """How many boxes of a recording have no place, and why.
+
+    Attributes:
+        recording: Its name.
+        asked: How many boxes there are.
+        outside: Before and after the log, or without a time.
+        long: In gaps of the log of more than `LONGEST_GAP_S`.
+        unsure: In shorter ones, in which a place is less certain than `LARGEST_SIGMA_M`.
+    """
+
+    recording: str
+    asked: int
+    outside: int
+    long: int
+    unsure: int
+
+    @classmethod
+    def of(cls, recording: str, at: ReferenceStates) -> Dropped:
+        """Those of states at the times of boxes."""
+        lost = ~np.isfinite(at.east_north_m).all(axis=1)
+        gap_s = np.diff(at.fix_time_utc_s, axis=1)[:, 0]
+        outside, long = lost & np.isnan(gap_s), lost & (gap_s > LONGEST_GAP_S)
+        counts = outside.sum(), long.sum(), (lost & ~outside & ~long).sum()
+        return cls(recording, lost.size, *map(int, counts))
+
+    @property
+    def boxes(self) -> int:
+        """How many in all."""
+        return self.outside + self.long + self.unsure
+
+
+def _on_dropped(dropped: Sequence[Dropped]) -> tuple[str, ...]:
+    """What is to be said of boxes without a place; nothing where each has one."""
+    some = [one for one in dropped if one.boxes]
+    if not some:
+        return ()
+    reasons = (
+        (sum(one.outside for one in some), "outside the time of the log"),
+        (sum(one.long for one in some), f"in gaps of the log of more than {LONGEST_GAP_S:g} s"),
+        (
+            sum(one.unsure for one in some),
+            f"in gaps in which the vessel may be off by more than {LARGEST_SIGMA_M:g} m",
+        ),
+    )
+    why = ", ".join(f"{count} {reason}" for count, reason in reasons if count)
+    names = ", ".join(one.recording for one in some[:_MOST_NAMED])
+    more = f" and {len(some) - _MOST_NAMED} more" if len(some) > _MOST_NAMED else ""
+    lost, asked = sum(one.boxes for one in some), sum(one.asked for one in dropped)
+    said = f"{lost} of {asked} boxes have no place in the log and are not learned from: {why}"
+    return (f"{said} (recordings {names}{more}).",)
 
 
 def _on_leaps(scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
@@ -141,6 +197,7 @@ def scene_correspondences(
     plane: LocalPlane,
     *,
     extra: Mapping[str, Boxes] | None = None,
+    dropped: list[Dropped] | None = None,
 ) -> Correspondences:
     """Correspondences of all recordings that have boxes and a log.
 
@@ -154,6 +211,7 @@ def scene_correspondences(
         scene: The scene.
         plane: The plane of the places.
         extra: Further boxes of the logged target, from another source, by recording.
+        dropped: To which is added what has no place, for each recording.
 
     Raises:
         FitError: No box has fixes near enough on both sides, though logs overlap recordings.
@@ -172,6 +230,8 @@ def scene_correspondences(
         asked = len(boxes)
         at = _places(recording.fixes(), boxes.time_utc_s, plane)
         en_m, velocity_mps = at.east_north_m, at.velocity_mps
+        if dropped is not None:
+            dropped.append(Dropped.of(recording.name, at))
         if len(boxes) and not np.isfinite(en_m).any():
             silent.append(recording)
         platform = recording.platform()
