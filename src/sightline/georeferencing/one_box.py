@@ -76,7 +76,7 @@ def place_one(
             slant_m = math.hypot(distance_m, height_m)
             length, beam, *rest = sizes.reach_one((x2 - x1) * slant_m / camera.focal_px)
             spread = (rest[0], rest[1], rest[2])
-        return half_length * length + half_beam * beam
+        return float(half_length * length + half_beam * beam)
 
     at = locate_one(camera, 0.5 * (x1 + x2), y2 - bias_px, bias_m + above_m, hull)
     if at is None:
