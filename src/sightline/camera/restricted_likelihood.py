@@ -29,7 +29,7 @@ _LASTING = (
     "lasting_time_s",
 )
 # A step that gains less than this tells nothing.
-_ENOUGH_NATS = 0.02
+_ENOUGH_NATS = 0.002
 
 
 @dataclass(frozen=True, eq=False)
