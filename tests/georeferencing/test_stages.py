@@ -24,7 +24,7 @@ from sightline.georeferencing.stages import Quality
 from sightline.scene import Recording, Scene
 from sightline.scene.correspondences import collect
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise, SimulatedCamera
-from sightline.types import Fixes, FloatArray, StrArray
+from sightline.types import BoolArray, Fixes, FloatArray, StrArray
 
 DURATION_S = 200.0
 TOLD = (LOG_HEIGHT, PITCH, HEADING, LOG_FOCAL)
@@ -200,8 +200,13 @@ def test_noise_that_runs_away_is_not_kept(
         estimates.append(before)
         return bound
 
-    def to_nonsense(self: MixedModel, start: FloatArray, noise: PixelNoise) -> object:
-        found = plain(self, start, noise)
+    def to_nonsense(
+        self: MixedModel,
+        start: FloatArray,
+        noise: PixelNoise,
+        left_out: BoolArray | None = None,
+    ) -> object:
+        found = plain(self, start, noise, left_out)
         if found is not None and noise is bound:
             found.vector[LOG_HEIGHT] -= 1.5
         return found
