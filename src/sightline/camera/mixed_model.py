@@ -465,8 +465,9 @@ class MixedModel:
 
         Args:
             start: Parameters by white noise at the logged places.
-            wide_start: The same by much wider noise. The other view starts there, since from
-                ``start``, which takes all errors for the box's, it need not find back.
+            wide_start: The same by much wider noise. With a single target the other view starts
+                there, since from ``start``, which takes all errors for the box's, it need not
+                find back.
             noise: To begin with.
 
         Returns:
@@ -479,7 +480,11 @@ class MixedModel:
             return best, estimated, np.zeros(start.size)
         errors = self.left_out_errors(best, estimated)
         self.of_log = True
-        other, of_other = self.alternate(wide_start, noise)
+        # Several targets spread over the picture, so that the first view has a camera to go on from.
+        if np.unique(self.sightings.log[self.boxes]).size > 1:
+            other, of_other = self.alternate(best.vector, estimated)
+        else:
+            other, of_other = self.alternate(wide_start, noise)
         errors_other = None if other is None else self.left_out_errors(other, of_other)
         self.of_log = False
         if other is None or errors is None or errors_other is None:
