@@ -480,7 +480,7 @@ class MixedModel:
             return best, estimated, np.zeros(start.size)
         errors = self.left_out_errors(best, estimated)
         self.of_log = True
-        # Several targets spread over the picture, so that the first view has a camera to go on from.
+        # Several targets spread over the picture: the first view has a camera to go on from.
         if np.unique(self.sightings.log[self.boxes]).size > 1:
             other, of_other = self.alternate(best.vector, estimated)
         else:
