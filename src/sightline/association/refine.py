@@ -97,7 +97,7 @@ class Explanation:
     """A camera with its clock offsets, and the association that follows from them.
 
     Attributes:
-        vector: (9,) camera.
+        vector: (12,) camera.
         offset_s: (R,) of each recording: added to its times they agree with the logs.
         noise: Of a foot.
         score: Log-likelihood ratio of the observations against clutter alone.

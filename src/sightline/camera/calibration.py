@@ -62,10 +62,10 @@ class CameraFit:
     """A fitted camera with its parameter covariance and clock offsets.
 
     Attributes:
-        vector: (11 + 2 S + G,) float64, in the order of `layout`; a clock offset is how many
+        vector: (14 + 2 S + G,) float64, in the order of `layout`; a clock offset is how many
             seconds a recording's clock is to be moved on to agree with the log.
         covariance: Square, of ``vector``.
-        prior_sigma: (11 + 2 S + G,) float64, infinite where there was no prior.
+        prior_sigma: (14 + 2 S + G,) float64, infinite where there was no prior.
         clock_groups: (G,) int64, the recordings whose clocks were estimated.
         noise: Of a box's foot.
         image_size_px: Width and height.

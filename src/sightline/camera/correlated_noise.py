@@ -284,9 +284,7 @@ class Whitening:
             kernel = noise.correlated_m**2 * block.log_kernel(noise.correlation_time_s)
             self.kernels.append(kernel)
             lasting = self._lasting_kernel(block)
-            whole = kernel + noise.offset_m**2 + noise.lasting_m**2 * lasting
-            if block.gap_m2 is not None:
-                whole = whole + block.gap_m2
+            whole = _whole(block, kernel + noise.offset_m**2 + noise.lasting_m**2 * lasting)
             n = block.rows.size
             covariance = self.turned(block).reshape(n, 2, n, 2) * whole[:, None, :, None]
             covariance[:, 0, :, 0] += noise.lasting_column_px**2 * lasting
@@ -359,8 +357,7 @@ class Whitening:
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
         drift, offset, body = (np.zeros_like(pulled) for _ in range(3))
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
-            own = kernel if block.gap_m2 is None else kernel + block.gap_m2
-            drift[block.rows] = own @ pulled[block.rows]
+            drift[block.rows] = _whole(block, kernel) @ pulled[block.rows]
             body[block.rows] = (
                 self._noise.lasting_m**2 * self._lasting_kernel(block) @ pulled[block.rows]
             )

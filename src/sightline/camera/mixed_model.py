@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.stats import norm
 
 from sightline.camera.correlated_noise import Block, Whitening, blocks_of
-from sightline.camera.observations import NO_SOURCE, PointCorrespondences
+from sightline.camera.observations import NO_SOURCE, UNDER_WAY_MPS, PointCorrespondences
 from sightline.camera.parameters import (
     BIAS_M,
     BIAS_PX,
@@ -49,8 +49,6 @@ from sightline.camera.target_sizes import BEAM_SHARE, TargetSizes
 from sightline.types import BoolArray, FloatArray, IntArray
 
 _HUBER = 2.0
-# Below this a target's course says little about where its bow points.
-_UNDER_WAY_MPS = 0.5
 # Of a standard deviation: a step so small ends the search.
 _ENOUGH = 0.01
 _MOST_STEPS = 30
@@ -159,7 +157,7 @@ class MixedModel:
         # Without times heave is as any other noise of the rows.
         self.heaving = heaving and bool(self.blocks)
         speed = np.hypot(*sightings.velocity_mps.T)
-        steered = (sightings.source != NO_SOURCE) & (speed > _UNDER_WAY_MPS)
+        steered = (sightings.source != NO_SOURCE) & (speed > UNDER_WAY_MPS)
         self.bow = np.where(
             steered[:, None], sightings.velocity_mps / np.maximum(speed, 1e-9)[:, None], 0.0
         )
@@ -240,7 +238,7 @@ class MixedModel:
         size = np.maximum(speed * np.hypot(east, north), 1e-9)
         cosine = (s.velocity_mps[:, 0] * east + s.velocity_mps[:, 1] * north) / size
         out: FloatArray = np.stack([np.abs(cosine), np.sqrt(np.maximum(1.0 - cosine**2, 0.0))], 1)
-        out[speed < _UNDER_WAY_MPS] = ANY_ASPECT
+        out[speed < UNDER_WAY_MPS] = ANY_ASPECT
         out[~self.boxes] = 0.0
         return out
 

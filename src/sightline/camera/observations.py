@@ -36,9 +36,10 @@ class Landmarks:
 
 
 NO_SOURCE = -1
-
-
 """The source of a control point, whose pixel has no bias."""
+
+UNDER_WAY_MPS = 0.5
+"""Speed below which a target's course says little about where its bow points."""
 
 
 @dataclass(frozen=True, eq=False)

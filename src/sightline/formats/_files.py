@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
-from sightline.formats._times import EXPECTED, NotUnderstoodError, read_numbers, read_times
+from sightline.formats._times import EXPECTED, NotUnderstoodError, Times, read_numbers, read_times
 from sightline.synchronisation import repeated
 from sightline.tally import Tally
 from sightline.text import xml_text as xml_text
@@ -353,11 +353,22 @@ def times(
         why = error.why.replace("is no time", f"is no time ({column.name})", 1)
         raise InputError(f"{path}, {row} {line}: {said} {why}") from error
     if tally is not None:
-        for sentence in read.assumed:
-            tally.note(sentence)
-        if read.zoneless and not zone_told:
-            tally.note("its times name no zone and are taken for UTC")
+        note_how_read(read, tally, zone_told=zone_told)
     return read.time_utc_s
+
+
+def note_how_read(read: Times, tally: Tally, *, zone_told: bool) -> None:
+    """Note what was assumed of how times are written, and a zone that nothing names.
+
+    Args:
+        read: The times.
+        tally: Takes the notes.
+        zone_told: Whether something beside them says that they are in UTC.
+    """
+    for sentence in read.assumed:
+        tally.note(sentence)
+    if read.zoneless and not zone_told:
+        tally.note("its times name no zone and are taken for UTC")
 
 
 def cell(value: object) -> str:

@@ -87,10 +87,7 @@ def row_times(
         first = next(iter(read.refused))
         where = f"{row} {numbers[first]}"
         tally.leave_out(UNREAD_TIME, len(read.refused), row=where, text=texts[first])
-    for sentence in read.assumed:
-        tally.note(sentence)
-    if read.zoneless and not zone_told:
-        tally.note("its times name no zone and are taken for UTC")
+    _files.note_how_read(read, tally, zone_told=zone_told)
     return read.time_utc_s
 
 

@@ -8,12 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sightline.camera.observations import UNDER_WAY_MPS
 from sightline.geodesy import LocalPlane
 from sightline.reference_trajectory import ReferenceTrajectory, without_leaps
 from sightline.types import Fixes
-
-# Below this a vessel's course says little about where its bow points.
-_UNDER_WAY_MPS = 0.5
 
 
 @dataclass(frozen=True)
@@ -95,7 +93,7 @@ class Hull:
         log = ReferenceTrajectory.of(without_leaps(fixes, plane)[0], plane)
         velocity = log.smooth_velocity(fixes.time_utc_s)
         speed = np.hypot(*velocity.T)
-        goes = np.flatnonzero(speed > _UNDER_WAY_MPS)
+        goes = np.flatnonzero(speed > UNDER_WAY_MPS)
         if not goes.size:
             return fixes
         times = fixes.time_utc_s
