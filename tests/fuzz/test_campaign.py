@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the campaign forks")
 
 PLANTED = """
-import ctypes, json, os, subprocess, sys, threading, time
+import ctypes, gc, json, os, subprocess, sys, threading, time
 from fuzz.isolation import Limits, call_apart
 from sightline.errors import InputError
 
@@ -52,7 +52,18 @@ def fails_where_nobody_hears():
     Odd()
 def complains_for_ever(): raise InputError("x" * 10_000)
 def reads(): return 1
+def collects(): gc.collect()
 
+class Threaded:
+    # Garbage that waits for a thread, which a fork does not have.
+    def __init__(self):
+        self.cycle, self.parent = self, os.getpid()
+    def __del__(self):
+        if os.getpid() != self.parent: time.sleep(60)
+
+gc.collect()
+gc.disable()
+Threaded()
 calls = [value for name, value in list(globals().items()) if type(value) is type(raises)
          and name not in ("call_apart",)]
 limits = Limits(seconds=1.0, memory_mb=100.0)
@@ -79,6 +90,7 @@ def test_what_goes_wrong_is_noticed(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     ends = json.loads(done.stdout)
     assert ends.pop("reads") == "read"
+    assert ends.pop("collects") == "read"
     assert ends.pop("refuses") == "refused"
     assert ends == {
         "raises": "IndexError",

@@ -143,7 +143,9 @@ def test_damaged_packets_do_not_end_a_stream(serve: Serve, tmp_path: Path) -> No
 def test_one_interrupt_ends_the_wait_for_a_silent_stream(serve: Serve) -> None:
     server = serve(jpegs(5, 0.02), "silent", MULTIPART)
     code = (
-        "import sys\nfrom sightline.video import frames\n"
+        "import signal, sys\nfrom sightline.video import frames\n"
+        # Whoever is started in a shell's background inherits that it is ignored.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "try:\n    for frame in frames(sys.argv[1]):\n        print(frame.index, flush=True)\n"
         "except KeyboardInterrupt:\n    print('interrupted', flush=True)\n"
     )

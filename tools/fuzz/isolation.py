@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import json
 import math
 import os
@@ -85,10 +86,14 @@ def call_apart(call: Callable[[], object], limits: Limits) -> Outcome:
     """
     reading, writing = os.pipe()
     began = time.monotonic()
+    # What was garbage before is no matter of the child's: its end may wait for threads (as that of
+    # a network does), and a fork has none of them.
+    gc.freeze()
     child = os.fork()
     if not child:
         os.close(reading)
         _in_child(call, limits, writing)
+    gc.unfreeze()
     os.close(writing)
     parts = []
     while part := os.read(reading, 65536):
