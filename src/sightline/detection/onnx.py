@@ -164,6 +164,13 @@ class OnnxDetector:
         """Execution provider in use, one of `PROVIDERS`."""
         return self._network.provider
 
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Names of the classes that are looked for."""
+        if self._wanted is None:
+            return tuple(name for name in self.classes if name != "-")
+        return tuple(self.classes[i] for i in self._wanted)
+
     def reset(self) -> None:
         """Forget the detected horizon; see `Detector`."""
         self._finder = HorizonFinder()

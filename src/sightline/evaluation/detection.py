@@ -25,6 +25,7 @@ DEFAULT_IOU = 0.3
 """A boat of 20 x 12 px is found where two boxes differ by a few pixels; 0.5 asks for more."""
 
 _MOST_BOXES = 100
+_COCO_IOUS = np.linspace(0.5, 0.95, 10)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,7 @@ class DetectionReport:
         mean_iou: Of the boxes found, with those drawn.
         mean_giou: The same, generalised (Rezatofighi et al. 2019): 1 less the loss.
         foot_px: Median of how far the found boxes end below the drawn ones.
+        average_precision: At the overlap ``iou``, over all confidences.
     """
 
     frames: int
@@ -85,6 +87,7 @@ class DetectionReport:
     mean_iou: float
     mean_giou: float
     foot_px: float
+    average_precision: float = math.nan
 
     def to_dict(self) -> dict[str, object]:
         """The report as JSON has it."""
@@ -170,13 +173,15 @@ def score_detections(
     recall_at, threshold_at = _at_allowed(confidence, right, drawn, allowed_per_frame * len(frames))
     chosen = right & kept
     overlap = iou(found[chosen], truth[chosen])
-    map_50, map_50_95 = _average_precision(frames) if drawn else (math.nan, math.nan)
+    precisions = [math.nan] * (_COCO_IOUS.size + 1)
+    if drawn:
+        precisions = _average_precisions(frames, [*_COCO_IOUS.tolist(), least_iou])
     return DetectionReport(
         frames=len(frames),
         drawn=drawn,
         found=int(sum(len(frame.found_xyxy_px) for frame in frames)),
-        map_50=map_50,
-        map_50_95=map_50_95,
+        map_50=precisions[0],
+        map_50_95=float(np.mean(precisions[:-1])),
         iou=least_iou,
         threshold=threshold,
         recall=hits / drawn if drawn else math.nan,
@@ -188,6 +193,7 @@ def score_detections(
         mean_iou=float(overlap.mean()) if overlap.size else math.nan,
         mean_giou=float(giou(found[chosen], truth[chosen]).mean()) if overlap.size else math.nan,
         foot_px=float(np.median((found - truth)[chosen, 3])) if overlap.size else math.nan,
+        average_precision=precisions[-1],
     )
 
 
@@ -207,8 +213,8 @@ def _at_allowed(
     return float(right[: best + 1].sum() / drawn), float(confidence[best])
 
 
-def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
-    """Average precision at 0.5, and its mean from 0.5 to 0.95, by COCO's implementation."""
+def _average_precisions(frames: Sequence[JudgedFrame], least_ious: Sequence[float]) -> list[float]:
+    """Average precision at each overlap, by COCO's implementation."""
     _optional.module("pycocotools", "score")
     # Heavy, and needed by nothing else.
     from pycocotools.coco import COCO
@@ -239,7 +245,7 @@ def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
                 }
             )
     if not found:
-        return 0.0, 0.0
+        return [0.0] * len(least_ious)
     # It tells of its progress on standard output.
     with contextlib.redirect_stdout(io.StringIO()):
         truth = COCO()
@@ -252,11 +258,12 @@ def _average_precision(frames: Sequence[JudgedFrame]) -> tuple[float, float]:
         truth.createIndex()
         evaluation = COCOeval(truth, truth.loadRes(found), "bbox")
         evaluation.params.maxDets = [_MOST_BOXES]
+        evaluation.params.iouThrs = np.array(least_ious, dtype=np.float64)
         evaluation.evaluate()
         evaluation.accumulate()
     # (overlaps, recalls, categories, areas, most boxes); of all areas.
     precision = evaluation.eval["precision"][:, :, 0, 0, -1]
-    return float(precision[0].mean()), float(precision.mean())
+    return [float(one.mean()) for one in precision]
 
 
 def _xywh(box: FloatArray) -> tuple[float, float, float, float]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +16,7 @@ from sightline.cli.common import (
     check_scene_is_there,
     progress,
     say,
+    warn,
     write_result,
 )
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_IOU
@@ -25,33 +29,69 @@ from sightline.cli.options import (
     OverwriteOption,
     ProviderOption,
     RecordingsOption,
-    SceneArgument,
     ThresholdOption,
     ViewsOption,
     detector_options,
 )
 from sightline.cli.outputs import keep_apart
-from sightline.cli.parsing import parse_names
+from sightline.cli.parsing import parse_distinct_names, parse_names
 from sightline.cli.replacing import keep_others
+from sightline.errors import InputError
 
 if TYPE_CHECKING:
+    from sightline.detection import Detector, DetectorOptions
     from sightline.evaluation.detection import DetectionReport, JudgedFrame
+    from sightline.progress import Progress
+    from sightline.scene import Scene
+    from sightline.scene.labelled_pictures import LabelledPictures
 
 _LOWEST = 0.001
 """Average precision is of boxes of any confidence; below this there is nothing but noise."""
 
 
 def evaluate(
-    scene: SceneArgument,
+    scene: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SCENE|FOLDER|COCO.json",
+            help="The scene file; or a folder of pictures with labels as YOLO or COCO has them, or "
+            "a COCO file.",
+        ),
+    ],
     detector: DetectorOption = DEFAULT_DETECTOR,
     recordings: RecordingsOption = None,
     labels: Annotated[
         Path | None,
         typer.Option(
-            metavar="FOLDER",
-            help="Boxes drawn by hand, RECORDING.csv, and empty.csv; absent: the scene's own.",
+            metavar="FOLDER|FILE.json",
+            help="Boxes drawn by hand: of a scene RECORDING.csv, and empty.csv; of pictures "
+            "NAME.txt, or a COCO file. Absent: the scene's own, or what lies with the pictures.",
         ),
     ] = None,
+    label_classes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Names of the classes of YOLO's labels, from 0 on; absent: from classes.txt or "
+            "data.yaml.",
+        ),
+    ] = None,
+    targets: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,...",
+            help="Classes of the pictures' labels that are to be found, others are neither right "
+            "nor wrong; absent: those that the detector looks for by the same name, or all.",
+        ),
+    ] = None,
+    group_by_prefix: Annotated[
+        bool,
+        typer.Option(
+            "--group-by-prefix",
+            help="Also measure by itself each folder of pictures, or what has the same name up to "
+            "the first hyphen or underscore; and the mean of these.",
+        ),
+    ] = False,
     margin: Annotated[
         list[str] | None,
         typer.Option(
@@ -92,41 +132,46 @@ def evaluate(
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
-    """Measure a detector on the frames of a scene in which boxes were drawn."""
+    """Measure a detector on the frames of a scene, or on pictures, in which boxes were drawn."""
     keep_apart([json], [scene, labels, model, detector])
-    check_scene_is_there(scene)
+    pictures = _holds_pictures(scene)
+    of_others: dict[str, object] = {"--recordings": recordings, "--margin": margin}
+    if not pictures:
+        of_others = {
+            "--label-classes": label_classes,
+            "--targets": targets,
+            "--group-by-prefix": group_by_prefix,
+        }
+        check_scene_is_there(scene)
+    if pictures and detector == "motion":
+        raise InputError(
+            f"{scene}: 'motion' finds what moves from frame to frame, and these are pictures; give "
+            "another detector"
+        )
+    for option, given in of_others.items():
+        if given:
+            which = (
+                "a scene, and these are pictures" if pictures else "pictures, and this is a scene"
+            )
+            raise InputError(f"{scene}: {option} is for {which}; leave it out")
     check_model_is_there(model)
     # Before a detector has looked at all frames.
     _optional.module("pycocotools", "score")
-    from sightline.detection import OnnxDetector
     from sightline.evaluation.detection import pooled, score_detections
-    from sightline.formats.labels import parse_margins
-    from sightline.georeferencing.georeferencer import load_model
-    from sightline.pipeline.sources import make_detector
-    from sightline.scene import Scene
-    from sightline.scene.labelled_frames import detect_labelled, scene_labels
 
-    loaded = Scene.load(scene)
-    keep_apart([json], loaded.files)
-    keep_others([(json, "result")], overwrite=overwrite)
-    if recordings is not None:
-        loaded = loaded.select(parse_names(recordings))
-    margins = parse_margins(margin or [])
-    known = {
-        name: (one.without_others() if others_false else one)
-        .without_specks(least_height)
-        .widened(margins)
-        for name, one in scene_labels(loaded, labels).items()
-    }
-    fitted = load_model(model) if model is not None else None
-    found = make_detector(
-        detector, fitted, detector_options(decoder, classes, threshold, provider, views)
-    )
-    usual = threshold if threshold is not None else 0.0
-    if isinstance(found, OnnxDetector):
-        usual, found.threshold = found.threshold, min(found.threshold, _LOWEST)
+    options = detector_options(decoder, classes, threshold, provider, views)
+    shown = _Shown(detector, options, model, least_height, others_false)
     with progress() as tell:
-        judged = detect_labelled(loaded, known, found, tell)
+        if pictures:
+            named = (
+                parse_distinct_names("--label-classes", label_classes) if label_classes else None
+            )
+            sought = parse_distinct_names("--targets", targets) if targets else None
+            drawn = _pictures(scene, labels, named, (json, overwrite))
+            judged, usual = _judge_pictures(drawn, shown, sought, group_by_prefix, tell)
+        else:
+            loaded = _scene(scene, recordings, (json, overwrite))
+            judged, usual = _judge_scene(loaded, shown, labels, margin or [], tell)
 
     def report_of(frames: list[JudgedFrame]) -> DetectionReport:
         return score_detections(
@@ -135,17 +180,146 @@ def evaluate(
 
     whole = report_of(pooled(judged))
     parts = {name: report_of(frames) for name, frames in judged.items()}
-    write_result(
-        json,
-        {
-            "detector": detector,
-            **whole.to_dict(),
-            "recordings": {name: part.to_dict() for name, part in parts.items()},
-        },
-    )
+    told: dict[str, object] = {"detector": detector, **whole.to_dict()}
+    if not pictures:
+        told["recordings"] = {name: part.to_dict() for name, part in parts.items()}
+    elif group_by_prefix:
+        told["groups"] = {name: part.to_dict() for name, part in parts.items()}
+        told["mean_of_groups"] = _mean(list(parts.values()))
+    write_result(json, told)
     say(describe(whole, detector))
-    for name, part in parts.items():
-        say("  " + describe(part, name))
+    if group_by_prefix or not pictures:
+        for name, part in parts.items():
+            say("  " + describe(part, name))
+    if group_by_prefix:
+        say("  " + _describe_mean(list(parts.values())))
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """What looks at the frames, and what of the boxes in them is neither right nor wrong."""
+
+    detector: str
+    options: DetectorOptions
+    model: Path | None
+    least_height_px: float
+    others_false: bool
+
+    def made(self) -> tuple[Detector, float]:
+        """The detector, made to tell of all that it sees, and the threshold that it has."""
+        from sightline.detection import OnnxDetector
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.pipeline.sources import make_detector
+
+        fitted = load_model(self.model) if self.model is not None else None
+        found = make_detector(self.detector, fitted, self.options)
+        given = self.options.threshold
+        usual = given if given is not None else 0.0
+        if isinstance(found, OnnxDetector):
+            usual, found.threshold = found.threshold, min(found.threshold, _LOWEST)
+        return found, usual
+
+
+def _holds_pictures(path: Path) -> bool:
+    """Whether these are pictures, not a scene."""
+    if path.suffix.lower() == ".json":
+        return True
+    return path.is_dir() and not (path / "scene.toml").is_file()
+
+
+def _pictures(
+    path: Path,
+    labels: Path | None,
+    named: tuple[str, ...] | None,
+    result: tuple[Path | None, bool],
+) -> LabelledPictures:
+    """Labelled pictures, none of which the result would overwrite."""
+    from sightline.scene.labelled_pictures import labelled_pictures
+
+    drawn = labelled_pictures(path, labels, named)
+    keep_apart([result[0]], drawn.files)
+    keep_others([(result[0], "result")], overwrite=result[1])
+    if drawn.tally.left_out:
+        warn(f"{drawn.where}: left out: {drawn.tally.reasons()}")
+    for sentence in drawn.tally.notes:
+        warn(f"{drawn.where}: {sentence}")
+    return drawn
+
+
+def _judge_pictures(
+    drawn: LabelledPictures,
+    shown: _Shown,
+    sought: tuple[str, ...] | None,
+    grouped: bool,
+    tell: Progress,
+) -> tuple[dict[str, list[JudgedFrame]], float]:
+    """Judged pictures by group, and the detector's threshold."""
+    from sightline.scene.labelled_pictures import chosen_targets, detect_pictures
+
+    found, usual = shown.made()
+    judged = detect_pictures(
+        drawn,
+        found,
+        chosen_targets(drawn, found, sought),
+        least_height_px=shown.least_height_px,
+        others_false=shown.others_false,
+        progress=tell,
+    )
+    groups: dict[str, list[JudgedFrame]] = {}
+    for picture, frame in zip(drawn.pictures, judged, strict=True):
+        groups.setdefault(picture.prefix if grouped else "", []).append(frame)
+    return groups, usual
+
+
+def _scene(path: Path, recordings: str | None, result: tuple[Path | None, bool]) -> Scene:
+    """A scene, none of whose files the result would overwrite."""
+    from sightline.scene import Scene
+
+    loaded = Scene.load(path)
+    keep_apart([result[0]], loaded.files)
+    keep_others([(result[0], "result")], overwrite=result[1])
+    return loaded if recordings is None else loaded.select(parse_names(recordings))
+
+
+def _judge_scene(
+    loaded: Scene, shown: _Shown, labels: Path | None, margin: list[str], tell: Progress
+) -> tuple[dict[str, list[JudgedFrame]], float]:
+    """Judged frames by recording, and the detector's threshold."""
+    from sightline.formats.labels import parse_margins
+    from sightline.scene.labelled_frames import detect_labelled, scene_labels
+
+    margins = parse_margins(margin)
+    known = {
+        name: (one.without_others() if shown.others_false else one)
+        .without_specks(shown.least_height_px)
+        .widened(margins)
+        for name, one in scene_labels(loaded, labels).items()
+    }
+    found, usual = shown.made()
+    return detect_labelled(loaded, known, found, tell), usual
+
+
+_MEANS = ("map_50", "map_50_95", "average_precision", "recall", "precision", "false_per_frame")
+
+
+def _mean(parts: Sequence[DetectionReport]) -> dict[str, float]:
+    """Means over groups, however many pictures each has; groups without the figure left out."""
+    out = {}
+    for key in _MEANS:
+        known = [value for part in parts if math.isfinite(value := getattr(part, key))]
+        out[key] = sum(known) / len(known) if known else math.nan
+    return out
+
+
+def _describe_mean(parts: Sequence[DetectionReport]) -> str:
+    from sightline.evaluation.comparison import number, percent
+
+    mean = _mean(parts)
+    return (
+        f"mean of {len(parts)} groups: at IoU {parts[0].iou:g} AP "
+        f"{number(mean['average_precision'])}, recall {percent(mean['recall'])}, "
+        f"{number(mean['false_per_frame'])} false boxes a frame"
+    )
 
 
 def describe(report: DetectionReport, what: str) -> str:
@@ -155,7 +329,8 @@ def describe(report: DetectionReport, what: str) -> str:
     return (
         f"{what}: {report.drawn} boxes in {report.frames} frames, mAP@0.5 "
         f"{number(report.map_50)}, mAP.5:.95 {number(report.map_50_95)}; at IoU "
-        f"{report.iou:g} recall {percent(report.recall)}, precision {percent(report.precision)}, "
-        f"{number(report.false_per_frame)} false boxes a frame; recall "
-        f"{percent(report.recall_at_allowed)} at {report.allowed_per_frame:g} false boxes a frame"
+        f"{report.iou:g} AP {number(report.average_precision)}, recall {percent(report.recall)}, "
+        f"precision {percent(report.precision)}, {number(report.false_per_frame)} false boxes a "
+        f"frame; recall {percent(report.recall_at_allowed)} at {report.allowed_per_frame:g} false "
+        "boxes a frame"
     )
