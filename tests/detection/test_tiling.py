@@ -30,12 +30,81 @@ def test_a_strip_is_native_at_the_horizon_and_scaled_below() -> None:
     assert strip.searched_px + near.searched_px < 0.35e6
 
 
-def test_larger_frames_are_looked_at_as_if_they_were_scaled_down() -> None:
-    small = plan_tiles(FRAME, TilingSettings(), horizon_px=LEVEL)
-    large = plan_tiles((3840, 2160), TilingSettings(), horizon_px=(1230.0, 1242.0))
+def test_larger_frames_are_looked_at_as_they_are() -> None:
+    """The strip reaches as far up and down the picture as in a smaller one."""
+    strip, near = plan_tiles((3840, 2160), TilingSettings(), horizon_px=(1230.0, 1242.0))
+    assert (strip.width, strip.scale, near.scale) == (3840, 1.0, 0.25)
+    assert strip.y == 1230 - 3 * 40
+    assert 1242 + 3 * 180 <= strip.y + strip.height < 1242 + 3 * 180 + 32
+    assert (near.y, near.y + near.height) == (strip.y, 2160)
+
+
+@pytest.mark.parametrize("kind", ["strip", "tiles"])
+def test_larger_frames_may_be_looked_at_as_if_they_were_scaled_down(kind: str) -> None:
+    settings = TilingSettings(kind=kind, frame_width_px=1280)
+    small = plan_tiles(FRAME, settings, horizon_px=LEVEL)
+    large = plan_tiles((3840, 2160), settings, horizon_px=(1230.0, 1242.0))
     for one, other in zip(small, large, strict=True):
         assert other.scale == pytest.approx(one.scale / 3)
         assert other.searched_px == pytest.approx(one.searched_px, rel=0.01)
+
+
+@pytest.mark.parametrize("width", [640, 1280])
+def test_frames_that_are_not_larger_are_looked_at_as_ever(width: int) -> None:
+    frame_px = (width, 720)
+    for kind in ("strip", "tiles", "whole"):
+        for size in (None, (352, 352)):
+            now, then = (
+                plan_tiles(frame_px, settings, horizon_px=LEVEL, input_px=size)
+                for settings in (
+                    TilingSettings(kind=kind),
+                    TilingSettings(kind=kind, frame_width_px=1280, overlap=0.1, enlarge=1.0),
+                )
+            )
+            assert now == then
+
+
+@pytest.mark.parametrize("size", [None, (416, 416), (640, 352)])
+@pytest.mark.parametrize("frame_px", [(1920, 1080), (1280, 720), (448, 300), (5000, 3000)])
+def test_everywhere_is_looked_enlarged_and_what_no_tile_has_whole_is_in_a_coarser_one(
+    size: tuple[int, int] | None, frame_px: tuple[int, int]
+) -> None:
+    views = plan_tiles(frame_px, TilingSettings(kind="everywhere"), horizon_px=LEVEL, input_px=size)
+    # Whole in a tile of the next coarser scale is what is smaller than the overlap of two there.
+    least_px = 0.2 * min(size or (2048, 2048)) / (3.0 * 1.4)
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        side = float(np.exp(rng.uniform(np.log(8.0), np.log(min(frame_px)))))
+        x, y = rng.uniform(0.0, np.array(frame_px) - side)
+        whole = [
+            view.scale * side
+            for view in views
+            if view.x <= x
+            and view.y <= y
+            and view.x + view.width >= x + side
+            and view.y + view.height >= y + side
+        ]
+        assert max(whole) >= min(1.5 * side, least_px)
+    assert max(view.scale for view in views) == 1.5
+    for view in views:
+        assert view.x >= 0
+        assert view.y >= 0
+        assert view.x + view.width <= frame_px[0]
+        assert view.y + view.height <= frame_px[1]
+
+
+def test_a_frame_may_be_enlarged_by_any_factor() -> None:
+    strip, near = plan_tiles(FRAME, TilingSettings(enlarge=2.0), horizon_px=LEVEL)
+    assert (strip.y, strip.scale, near.scale) == (370, 2.0, 0.5)
+    assert 414 + 180 <= strip.y + strip.height < 414 + 180 + 32
+    views = plan_tiles(FRAME, TilingSettings("everywhere", enlarge=3.0), input_px=(416, 416))
+    assert views[0].scale == 3.0
+
+
+def test_what_would_not_fit_into_memory_comes_in_parts() -> None:
+    views = plan_tiles((3840, 2160), TilingSettings(enlarge=4.0))
+    assert max(view.searched_px for view in views) <= 2048**2
+    assert sum(view.searched_px for view in views) >= 16 * 3840 * 2160
 
 
 def test_a_network_of_one_size_gets_tiles_that_cover_the_strip_and_the_whole_frame() -> None:
@@ -122,10 +191,17 @@ def test_of_a_box_in_two_views_the_best_stays_and_neighbours_do_too() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"kind": "bands"}, "unknown kind of views 'bands'; known are strip, tiles, whole"),
+        (
+            {"kind": "bands"},
+            "unknown kind of views 'bands'; known are strip, tiles, whole, everywhere",
+        ),
         ({"near_scale": 2.0}, "near_scale between 0 and 1"),
         ({"frame_width_px": 0}, "sizes must be positive"),
         ({"above_px": -300.0}, "sizes must be positive"),
+        ({"overlap": 0.95}, "overlap between 0 and 0.9"),
+        ({"enlarge": 0.0}, "enlarge is 0; it must be more than 0 and at most 8"),
+        ({"enlarge": float("nan")}, "enlarge is nan"),
+        ({"enlarge": 9.0}, "enlarge is 9; it must be"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(values: dict, message: str) -> None:

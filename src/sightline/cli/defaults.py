@@ -32,7 +32,7 @@ DECODERS = (
     "fastestdet",
 )
 PROVIDERS = ("cpu", "cuda", "tensorrt")
-VIEWS = ("strip", "tiles", "whole")
+VIEWS = ("strip", "tiles", "whole", "everywhere")
 
 DEFAULT_IOU = 0.3
 DEFAULT_LABEL = "boat"

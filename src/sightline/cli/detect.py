@@ -12,10 +12,13 @@ from sightline import signals
 from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR
 from sightline.cli.options import (
+    BudgetOption,
     ClassesOption,
     ClockOption,
     DecoderOption,
     DetectorOption,
+    EnlargeOption,
+    FrameWidthOption,
     HorizonModelOption,
     JsonOption,
     OverwriteOption,
@@ -51,6 +54,9 @@ def detect(
     threshold: ThresholdOption = None,
     provider: ProviderOption = None,
     views: ViewsOption = None,
+    enlarge: EnlargeOption = None,
+    frame_width: FrameWidthOption = None,
+    budget: BudgetOption = None,
     model: HorizonModelOption = None,
     start_utc: StartOption = None,
     clock: ClockOption = None,
@@ -78,7 +84,12 @@ def detect(
             raise InputError(
                 f"{source}: is a table; boxes are found in a video, frames or a stream"
             )
-        options = detector_options(decoder, classes, threshold, provider, views)
+        options = detector_options(
+            *(decoder, classes, threshold, provider, views),
+            enlarge=enlarge,
+            frame_width=frame_width,
+            budget=budget,
+        )
         fitted = load_model(model) if model is not None else None
         found = make_detector(detector, fitted, options)
         times = formats.read_clock(clock) if clock is not None else None

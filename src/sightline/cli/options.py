@@ -83,6 +83,28 @@ ViewsOption = Annotated[
         help=f"Tiles of a frame: {', '.join(VIEWS)}; absent: the detector's own choice.",
     ),
 ]
+EnlargeOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="FACTOR",
+        help="Pixels that the network is shown for a pixel of the frame; absent: 1, and 1.5 "
+        "everywhere.",
+    ),
+]
+FrameWidthOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="PX", min=1, help="Scale wider frames down to it first; absent: they are not."
+    ),
+]
+BudgetOption = Annotated[
+    float | None,
+    typer.Option(
+        metavar="MS",
+        help="Milliseconds a frame that looking may take: tiles with what moves first, the others "
+        "in turn; how many is measured at the start. Absent: all tiles of every frame.",
+    ),
+]
 HorizonModelOption = Annotated[
     Path | None,
     typer.Option(
@@ -122,6 +144,10 @@ def detector_options(
     threshold: float | None,
     provider: str | None,
     views: str | None,
+    *,
+    enlarge: float | None = None,
+    frame_width: int | None = None,
+    budget: float | None = None,
 ) -> DetectorOptions:
     """Detector options from the command line.
 
@@ -138,4 +164,7 @@ def detector_options(
         threshold=threshold,
         provider=provider,
         views=TilingSettings(kind=views) if views is not None else None,
+        enlarge=enlarge,
+        frame_width_px=frame_width,
+        budget_ms=budget,
     )

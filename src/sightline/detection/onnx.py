@@ -56,6 +56,11 @@ class DetectorOptions:
         overlap: Boxes of a class that overlap by more (intersection over union) are of one thing.
         views: Tiles of a frame. Absent: the strip around the horizon and the scaled frame.
         threads: Of the CPU. Absent: as many as there are cores.
+        enlarge: Pixels that the network is shown for one of the frame. Absent: as the views say.
+        frame_width_px: Frames that are wider are scaled down to it. Absent: as the views say.
+        budget_ms: Time a frame of a video, milliseconds: as many tiles are looked at as the network
+            was measured to take in it; see `sightline.detection.rotation`. Absent: all tiles.
+        tiles_per_frame: So many instead, whatever the machine: then nothing is measured.
     """
 
     provider: str | None = None
@@ -65,6 +70,10 @@ class DetectorOptions:
     overlap: float = 0.45
     views: TilingSettings | None = None
     threads: int | None = None
+    enlarge: float | None = None
+    frame_width_px: int | None = None
+    budget_ms: float | None = None
+    tiles_per_frame: int | None = None
 
     def __post_init__(self) -> None:
         if self.provider is not None and self.provider not in PROVIDERS:
@@ -77,6 +86,34 @@ class DetectorOptions:
             raise InputError(f"overlap is {self.overlap:g}; it must lie between 0 and 1")
         if self.classes is not None and not self.classes:
             raise InputError("classes names no class; leave it out to look for all")
+        if self.budget_ms is not None and not 0.0 < self.budget_ms < float("inf"):
+            raise InputError(
+                f"budget is {self.budget_ms:g} ms; give the milliseconds that a frame may take"
+            )
+        if self.tiles_per_frame is not None and self.tiles_per_frame < 1:
+            raise InputError(f"tiles_per_frame is {self.tiles_per_frame}; give 1 or more")
+        self.tiling(TilingSettings())
+
+    @property
+    def rotates(self) -> bool:
+        """Whether a part of the tiles is looked at in each frame."""
+        return self.budget_ms is not None or self.tiles_per_frame is not None
+
+    def tiling(self, usual: TilingSettings | None) -> TilingSettings:
+        """How the tiles of a frame are chosen.
+
+        Args:
+            usual: As the file says; None: it does not.
+        """
+        settings = self.views
+        if settings is None and self.rotates:
+            settings = TilingSettings(kind="everywhere")
+        settings = settings or usual or TilingSettings()
+        if self.enlarge is not None:
+            settings = replace(settings, enlarge=self.enlarge)
+        if self.frame_width_px is not None:
+            settings = replace(settings, frame_width_px=self.frame_width_px)
+        return settings
 
 
 class OnnxDetector:
@@ -148,8 +185,7 @@ class OnnxDetector:
             for value in (self._options.threshold, usual, DEFAULT_THRESHOLD)
             if value is not None
         )
-        settings = self._options.views or (metadata.views if metadata else None)
-        self._view_settings = settings or TilingSettings()
+        self._view_settings = self._options.tiling(metadata.views if metadata else None)
         self.lower_edge: LowerEdge | None = metadata.lower_edge if metadata else None
         self._given_horizon_px = horizon_px
         self.reset()

@@ -2,7 +2,8 @@
 
 A boat at a kilometre is a few pixels large: a frame scaled to the size of a network loses it. So
 the strip around the horizon, where things are far and small, is taken at full resolution; what is
-near is large, and may be scaled down.
+near is large, and may be scaled down. Of a frame that is wider than others the same holds: harbour
+cameras of more pixels show more, not larger things.
 """
 
 from __future__ import annotations
@@ -20,7 +21,20 @@ from sightline.types import BoolArray, FloatArray, IntArray
 Horizon = tuple[float, float]
 """Rows of the horizon at the left and the right edge of the image, px."""
 
-VIEWS = ("strip", "tiles", "whole")
+VIEWS = ("strip", "tiles", "whole", "everywhere")
+
+_REFERENCE_WIDTH_PX = 1280
+_ENLARGED_EVERYWHERE = 1.5
+"""Boats of 8 px are seen by networks that were taught larger ones; at twice the size they find no
+more, and more that is none."""
+_OVERLAP_OF_TILES, _OVERLAP_EVERYWHERE = 0.1, 0.2
+_COARSER = 3.0
+"""Between the scales of tiles everywhere: what no finer tile has whole, these have."""
+_LEAST_STEP = 1.4
+_LARGEST_TILE_PX = 2048
+_MOST_PX = 2**24
+"""What a network is shown at once fits into memory up to here."""
+_MOST_ENLARGED = 8.0
 
 _TOUCHES_PX = 2.0
 _SAME = 0.5
@@ -57,38 +71,74 @@ class Tile:
 class TilingSettings:
     """How the tiles of a frame are chosen.
 
-    Lengths are pixels of a frame of ``frame_width_px``; larger frames are taken as if they
-    had been scaled to it, since what they show is larger.
-
     Attributes:
         kind: ``"strip"``: around and below the horizon as it is, and all below the horizon scaled
-            down; ``"tiles"``: all of the frame as it is; ``"whole"``: the frame scaled down.
-        frame_width_px: See above.
-        above_px: How far above the horizon the strip begins; masts and cabins stand there.
-        below_px: How far below the horizon it ends.
+            down; ``"tiles"``: all of the frame as it is; ``"whole"``: the frame scaled down;
+            ``"everywhere"``: all of the frame enlarged, and again ever coarser down to the whole,
+            so that things of any size are seen: for pictures and batch jobs.
+        frame_width_px: Frames that are wider are scaled down to it before anything looks. None:
+            they are not.
+        above_px: How far above the horizon the strip begins; masts and cabins stand there. Of a
+            frame of ``frame_width_px`` or 1280 px; in wider ones in proportion.
+        below_px: How far below the horizon it ends, likewise.
         near_scale: Scale of all that lies below the horizon, in the strip's. 0: left out.
         overlap: Of neighbouring tiles, as a share of their side. What is larger than it may lie
-            whole in neither; the scaled view is for that.
+            whole in neither; the scaled view is for that. None: 0.1, and 0.2 everywhere.
         whole_px: Longest side of a frame scaled for a network that takes any size.
+        enlarge: Pixels that the network is shown for a pixel of the frame. None: 1, and 1.5
+            everywhere.
     """
 
     kind: str = "strip"
-    frame_width_px: int = 1280
+    frame_width_px: int | None = None
     above_px: float = 40.0
     below_px: float = 180.0
     near_scale: float = 0.25
-    overlap: float = 0.1
+    overlap: float | None = None
     whole_px: int = 640
+    enlarge: float | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in VIEWS:
             raise unknown_name("kind of views", self.kind, VIEWS)
-        positive = min(self.frame_width_px, self.whole_px, self.above_px + self.below_px)
-        if not (positive > 0 and 0.0 <= self.near_scale <= 1.0 and 0.0 <= self.overlap < 0.9):
+        width = 1 if self.frame_width_px is None else self.frame_width_px
+        positive = min(width, self.whole_px, self.above_px + self.below_px)
+        if not (positive > 0 and 0.0 <= self.near_scale <= 1.0 and 0.0 <= self.overlap_share < 0.9):
             raise InputError(
                 "views: sizes must be positive, near_scale between 0 and 1, and overlap between 0 "
                 f"and 0.9; got {self}"
             )
+        if self.enlarge is not None and not 0.0 < self.enlarge <= _MOST_ENLARGED:
+            raise InputError(
+                f"views: enlarge is {self.enlarge:g}; it must be more than 0 and at most "
+                f"{_MOST_ENLARGED:g} (2: twice the size)"
+            )
+
+    @property
+    def overlap_share(self) -> float:
+        """Overlap of neighbouring tiles, as a share of their side."""
+        if self.overlap is not None:
+            return self.overlap
+        return _OVERLAP_EVERYWHERE if self.kind == "everywhere" else _OVERLAP_OF_TILES
+
+    def scale(self, width_px: int) -> float:
+        """Pixels that the network is shown for a pixel of a frame of this width."""
+        enlarge = self.enlarge
+        if enlarge is None:
+            enlarge = _ENLARGED_EVERYWHERE if self.kind == "everywhere" else 1.0
+        if self.frame_width_px is None:
+            return enlarge
+        return min(1.0, self.frame_width_px / width_px) * enlarge
+
+    def stretch(self, width_px: int) -> float:
+        """Pixels of a frame of this width for a pixel of ``above_px`` and ``below_px``."""
+        return max(1.0, width_px / (self.frame_width_px or _REFERENCE_WIDTH_PX))
+
+    def band(self, width_px: int, horizon_px: Horizon) -> tuple[float, float]:
+        """First and last row of the strip around the horizon, as far as it would reach."""
+        stretch = self.stretch(width_px)
+        top, bottom = min(horizon_px), max(horizon_px)
+        return top - self.above_px * stretch, bottom + self.below_px * stretch
 
 
 def plan_tiles(
@@ -111,18 +161,26 @@ def plan_tiles(
     width, height = frame_px
     if settings.kind == "whole":
         return (_whole(frame_px, settings, input_px),)
-    scale = min(1.0, settings.frame_width_px / width)
+    scale = settings.scale(width)
+    if settings.kind == "everywhere":
+        return _everywhere(frame_px, settings, input_px, scale)
     top, bottom = 0, height
     if settings.kind == "strip" and horizon_px is not None:
-        top, bottom = _strip(height, settings, horizon_px, scale, stride_px)
+        top, bottom = _strip(frame_px, settings, horizon_px, scale, stride_px)
     if input_px is not None:
-        tiles = tuple(_tiles((0, top, width, bottom), frame_px, input_px, scale, settings.overlap))
+        area = (0, top, width, bottom)
+        tiles = tuple(_tiles(area, frame_px, input_px, scale, settings.overlap_share))
         whole = _whole(frame_px, settings, input_px)
         return tiles if whole in tiles else (*tiles, whole)
     strip = Tile(0, top, width, bottom - top, scale)
+    parts: tuple[Tile, ...] = (strip,)
+    if strip.searched_px > _MOST_PX:
+        side_px = (_LARGEST_TILE_PX, _LARGEST_TILE_PX)
+        area = (0, top, width, bottom)
+        parts = tuple(_tiles(area, frame_px, side_px, scale, settings.overlap_share))
     if bottom == height or settings.near_scale == 0.0:
-        return (strip,)
-    return strip, Tile(0, top, width, height - top, scale * settings.near_scale)
+        return parts
+    return *parts, Tile(0, top, width, height - top, scale * settings.near_scale)
 
 
 def _whole(
@@ -135,14 +193,35 @@ def _whole(
     return Tile(0, 0, *frame_px, scale)
 
 
+def _everywhere(
+    frame_px: tuple[int, int],
+    settings: TilingSettings,
+    input_px: tuple[int, int] | None,
+    scale: float,
+) -> tuple[Tile, ...]:
+    """Tiles of all of the frame at several scales, and the whole, the finest first."""
+    side_px = input_px if input_px is not None else (_LARGEST_TILE_PX, _LARGEST_TILE_PX)
+    whole = _whole(frame_px, settings, input_px)
+    area = (0, 0, *frame_px)
+    tiles: list[Tile] = []
+    while scale > whole.scale * (_LEAST_STEP if tiles else 1.0):
+        tiles += _tiles(area, frame_px, side_px, scale, settings.overlap_share)
+        scale /= _COARSER
+    return (*tiles, whole)
+
+
 def _strip(
-    height: int, settings: TilingSettings, horizon_px: Horizon, scale: float, stride_px: int
+    frame_px: tuple[int, int],
+    settings: TilingSettings,
+    horizon_px: Horizon,
+    scale: float,
+    stride_px: int,
 ) -> tuple[int, int]:
     """First and last row of the strip, a multiple of the network's stride."""
-    top = math.floor(min(horizon_px) - settings.above_px / scale)
+    width, height = frame_px
+    first, bottom = settings.band(width, horizon_px)
     # A horizon outside the frame leaves the row next to it.
-    top = min(max(top, 0), height - 1)
-    bottom = max(horizon_px) + settings.below_px / scale
+    top = min(max(math.floor(first), 0), height - 1)
     rows = math.ceil(max(bottom - top, 1.0) * scale / stride_px) * stride_px
     return top, min(top + math.ceil(rows / scale), height)
 

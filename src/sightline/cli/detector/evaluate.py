@@ -24,6 +24,8 @@ from sightline.cli.options import (
     ClassesOption,
     DecoderOption,
     DetectorOption,
+    EnlargeOption,
+    FrameWidthOption,
     HorizonModelOption,
     JsonOption,
     OverwriteOption,
@@ -128,6 +130,8 @@ def evaluate(
     threshold: ThresholdOption = None,
     provider: ProviderOption = None,
     views: ViewsOption = None,
+    enlarge: EnlargeOption = None,
+    frame_width: FrameWidthOption = None,
     model: HorizonModelOption = None,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
@@ -159,7 +163,9 @@ def evaluate(
     _optional.module("pycocotools", "score")
     from sightline.evaluation.detection import pooled, score_detections
 
-    options = detector_options(decoder, classes, threshold, provider, views)
+    options = detector_options(
+        decoder, classes, threshold, provider, views, enlarge=enlarge, frame_width=frame_width
+    )
     shown = _Shown(detector, options, model, least_height, others_false)
     with progress() as tell:
         if pictures:
