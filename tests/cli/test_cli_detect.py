@@ -80,6 +80,38 @@ def test_boxes_of_a_video(sightline: Command, harbour: Path, tmp_path: Path, end
     assert (told["frames"], told["boxes"]) == (40, 40)
 
 
+def test_a_budget_bounds_the_tiles_of_a_frame(
+    sightline: Command, harbour: Path, tmp_path: Path
+) -> None:
+    """Enlarged by half, 640 x 360 px come in nine tiles: one a frame, and all in the first."""
+    network, out = detector_file(tmp_path / "net.onnx"), tmp_path / "boxes.csv"
+    done = sightline(
+        *("detect", harbour / "boat.mp4", "-o", out, "--detector", network),
+        *("--budget", "0.001", "--start-utc", "2023-11-14T22:13:20Z"),
+    )
+    assert done.status == 0, done.err
+    assert re.search(r"looked at 1 of \d+ tiles of each frame", done.out)
+    assert set(read_boxes(out).frame.tolist()) == set(range(40))
+
+
+@pytest.mark.parametrize("options", [("--views", "everywhere"), ("--enlarge", "2")])
+def test_tracks_are_made_of_what_is_seen_at_any_size(
+    sightline: Command, harbour: Path, tmp_path: Path, options: tuple[str, str]
+) -> None:
+    """What the network sees at 200 px of its input is elsewhere, and more often, when enlarged."""
+    network = detector_file(tmp_path / "net.onnx")
+    common = ("--detector", network, "--model", harbour / "camera.safetensors", "--clock")
+    points = []
+    for number, more in enumerate(((), options)):
+        done = sightline(
+            *("track", harbour / "frames", "-o", tmp_path / f"{number}.geojson", *common),
+            *(harbour / "frames.csv", "--json", tmp_path / f"{number}.json", *more),
+        )
+        assert done.status == 0, done.err
+        points.append(json.loads((tmp_path / f"{number}.json").read_text())["points"])
+    assert points[0] != points[1]
+
+
 @pytest.mark.slow
 def test_frames_without_times_have_boxes_without(
     sightline: Command, harbour: Path, tmp_path: Path
@@ -176,6 +208,13 @@ REFUSED = [
     ("views", DETECT + NET + " --views all", "unknown kind of views 'all'; known are strip"),
     ("detector", DETECT + " --detector yolo", "unknown detector 'yolo'; known are motion, harbour"),
     ("motion", DETECT + " --detector motion --threshold 0.5", "runs no network"),
+    ("enlarged", DETECT + NET + " --enlarge 0", "enlarge is 0; it must be more than 0"),
+    ("budget", DETECT + NET + " --budget 0", "budget is 0 ms; give the milliseconds"),
+    (
+        "a table has no views",
+        "track {h}/boxes/01.csv --model {h}/camera.safetensors -o {t}/out/t.csv --views whole",
+        "01.csv: is a table of boxes, and nothing is detected; leave .*--views",
+    ),
     ("table", "detect {h}/boxes/01.csv -o {t}/out/b.csv", "is a table; boxes are found in"),
     ("source", "detect {h}/none.mp4 -o {t}/out/b.csv", "no such video or folder"),
     ("ending", "detect {h}/boat.mp4 -o {t}/out/b.json", "no format of boxes ends in '.json'"),

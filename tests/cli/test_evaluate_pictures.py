@@ -353,6 +353,7 @@ def test_coco_files_that_cannot_be_used_end_in_a_line(
 OPTIONS = [
     ("--recordings 01", r"pictures: --recordings is for a scene, and these are pictures"),
     ("--margin eye=1", r"--margin is for a scene"),
+    ("--budget 40", r"--budget is for a scene"),
     ("--targets ship", r"unknown class of the labels in .* 'ship'; known are 0"),
     ("--label-classes a,a", r"names a twice"),
     ("--detector motion", r"'motion' finds what moves from frame to frame"),

@@ -27,6 +27,7 @@ from sightline.cli.options import (
     ThresholdOption,
     ViewsOption,
     detector_options,
+    tiles_in_turn,
 )
 from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.parsing import parse_time
@@ -121,6 +122,8 @@ def detect(
     with attempts.one():
         write_result(json, {**result, "complete": not ending.early})
     say(f"{boxes_found} boxes in {count} frames")
+    for line in tiles_in_turn(found):
+        say(line)
     for path in written.written:
         say(f"boxes: {path}")
     attempts.check()

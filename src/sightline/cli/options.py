@@ -12,7 +12,7 @@ from sightline.cli.parsing import parse_names
 from sightline.errors import unknown_name
 
 if TYPE_CHECKING:
-    from sightline.detection import DetectorOptions
+    from sightline.detection import Detector, DetectorOptions
 
 # Of nearly every command.
 
@@ -168,3 +168,14 @@ def detector_options(
         frame_width_px=frame_width,
         budget_ms=budget,
     )
+
+
+def tiles_in_turn(detector: Detector) -> list[str]:
+    """A line on how much of each frame was looked at, where a budget bounds that."""
+    from sightline.detection import OnnxDetector
+
+    if not isinstance(detector, OnnxDetector) or not detector.remembers:
+        return []
+    if detector.tiles_per_frame is None:
+        return []
+    return [f"looked at {detector.tiles_per_frame} of {detector.tile_count} tiles of each frame"]

@@ -20,14 +20,21 @@ from sightline.cli.common import (
 )
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_MODEL, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
+    BudgetOption,
+    ClassesOption,
     DetectorOption,
+    EnlargeOption,
     IntervalOption,
     JsonOption,
     ModelNameOption,
     OverwriteOption,
     SceneArgument,
     SeedOption,
+    ThresholdOption,
     TrajectoryOption,
+    ViewsOption,
+    detector_options,
+    tiles_in_turn,
 )
 from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.replacing import keep_others, kind_of_result
@@ -43,6 +50,11 @@ def run(
     ],
     model: ModelNameOption = DEFAULT_MODEL,
     detector: DetectorOption = DEFAULT_DETECTOR,
+    classes: ClassesOption = None,
+    threshold: ThresholdOption = None,
+    views: ViewsOption = None,
+    enlarge: EnlargeOption = None,
+    budget: BudgetOption = None,
     trajectory: TrajectoryOption = DEFAULT_TRAJECTORY,
     interval_s: IntervalOption = None,
     seed: SeedOption = 0,
@@ -52,8 +64,10 @@ def run(
     """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate."""
     keep_apart([json], [scene, detector])
     check_scene_is_there(scene)
+    from sightline.detection import DetectorOptions
     from sightline.pipeline.check import check_scene
     from sightline.pipeline.run import run as run_scene
+    from sightline.pipeline.sources import make_detector
     from sightline.pipeline.track import TrackSettings
     from sightline.reporting.run_report import check_earlier_run, run_file_names, write_run_files
     from sightline.scene import Scene
@@ -70,11 +84,15 @@ def run(
     for line in checked.warnings:
         warn(line)
     refuse_problems(checked)
+    looking = detector_options(
+        None, classes, threshold, None, views, enlarge=enlarge, budget=budget
+    )
+    looks = detector if looking == DetectorOptions() else make_detector(detector, None, looking)
     with folder_for_results(output, inputs) as folder, progress() as tell:
         result = run_scene(
             loaded,
             model=model,
-            detector=detector,
+            detector=looks,
             settings=TrackSettings(trajectory=trajectory, interval_s=interval_s),
             seed=seed,
             progress=tell,
@@ -88,6 +106,8 @@ def run(
     with attempts.one():
         write_result(json, result_dict(result, paths))
     tell_result(result, paths)
+    for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
+        say(line)
     attempts.check()
 
 

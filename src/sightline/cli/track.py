@@ -14,13 +14,20 @@ from sightline import signals
 from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
+    BudgetOption,
+    ClassesOption,
     ClockOption,
     DetectorOption,
+    EnlargeOption,
     IntervalOption,
     JsonOption,
     OverwriteOption,
     StartOption,
+    ThresholdOption,
     TrajectoryOption,
+    ViewsOption,
+    detector_options,
+    tiles_in_turn,
 )
 from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.parsing import parse_time, parse_water_level
@@ -131,6 +138,11 @@ def track(
         ),
     ] = None,
     detector: DetectorOption = DEFAULT_DETECTOR,
+    classes: ClassesOption = None,
+    threshold: ThresholdOption = None,
+    views: ViewsOption = None,
+    enlarge: EnlargeOption = None,
+    budget: BudgetOption = None,
     trajectory: TrajectoryOption = DEFAULT_TRAJECTORY,
     interval_s: IntervalOption = None,
     forecast_s: Annotated[
@@ -174,8 +186,9 @@ def track(
     check_model_is_there(model)
     with signals.stoppable() as stop:
         from sightline import formats
+        from sightline.detection import DetectorOptions
         from sightline.georeferencing.georeferencer import load_model
-        from sightline.pipeline.sources import is_stream
+        from sightline.pipeline.sources import is_stream, is_table, make_detector
         from sightline.pipeline.track import TrackSettings, iter_tracks
 
         fitted = load_model(model)
@@ -189,6 +202,16 @@ def track(
         )
         if forecast_s is not None:
             settings = replace(settings, forecast_s=forecast_s)
+        looking = detector_options(
+            None, classes, threshold, None, views, enlarge=enlarge, budget=budget
+        )
+        table_of_boxes = is_table(source)
+        if table_of_boxes and looking != DetectorOptions():
+            raise InputError(
+                f"{source}: is a table of boxes, and nothing is detected; leave --classes, "
+                "--threshold, --views, --enlarge and --budget out"
+            )
+        looks = detector if table_of_boxes else make_detector(detector, fitted, looking)
         times = formats.read_clock(clock) if clock is not None else None
         horizons = None
         if horizon is not None:
@@ -209,7 +232,7 @@ def track(
             found = iter_tracks(
                 source,
                 fitted,
-                detector=detector,
+                detector=looks,
                 clock=times,
                 start_utc_s=parse_time("--start-utc", start_utc),
                 platform=platform,
@@ -242,6 +265,8 @@ def track(
     with attempts.one():
         write_result(json, result)
     say(f"{summary.tracks} tracks, {summary.points} points")
+    for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
+        say(line)
     for note in _clock_notes(clock_offset_s, fitted.report.clocks):
         say(f"note: {note}")
     for path in tracks.written:

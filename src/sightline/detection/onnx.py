@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from sightline.detection.classes import names_for
 from sightline.detection.decoders import Decoder, Outputs, Scored, decoder_by_name, decoder_for
 from sightline.detection.letterbox import Letterbox
 from sightline.detection.metadata import InputFormat, LowerEdge, read_metadata, ultralytics_names
+from sightline.detection.rotation import Found, TileRotation
 from sightline.detection.tiling import Horizon, Tile, TilingSettings, merge, place, plan_tiles
 from sightline.errors import InputError, unknown_name
 from sightline.types import Boxes, FloatArray, Frame, IntArray
@@ -36,6 +38,8 @@ _MOST_CANDIDATES = 3000
 _LARGEST_PX = 16384
 _MOST_PX = 2**25
 _DUMMY_PX = 320
+_TILE_IN_TURN_PX = 416
+_MEASURED_TILES = 7
 _SIZES_INPUT = "orig_target_sizes"
 _TYPES = {
     "tensor(float)": np.float32,
@@ -188,6 +192,13 @@ class OnnxDetector:
         self._view_settings = self._options.tiling(metadata.views if metadata else None)
         self.lower_edge: LowerEdge | None = metadata.lower_edge if metadata else None
         self._given_horizon_px = horizon_px
+        self._tile_px = self._network.input_px
+        if self._tile_px is None and self._options.rotates:
+            # A network that takes any size would be shown too much at once to choose from.
+            side = -(-_TILE_IN_TURN_PX // self._network.form.stride) * self._network.form.stride
+            self._tile_px = (side, side)
+        self._measured_for: tuple[Tile, ...] = ()
+        self.tiles_per_frame: int | None = self._options.tiles_per_frame
         self.reset()
 
     @property
@@ -201,6 +212,16 @@ class OnnxDetector:
         return self._network.provider
 
     @property
+    def remembers(self) -> bool:
+        """Whether what it finds in a frame depends on those before, which it is to be shown."""
+        return self._options.rotates
+
+    @property
+    def tile_count(self) -> int:
+        """How many tiles the last frame has."""
+        return len(self._views)
+
+    @property
     def wanted(self) -> tuple[str, ...]:
         """Names of the classes that are looked for."""
         if self._wanted is None:
@@ -208,7 +229,8 @@ class OnnxDetector:
         return tuple(self.classes[i] for i in self._wanted)
 
     def reset(self) -> None:
-        """Forget the detected horizon; see `Detector`."""
+        """Forget the detected horizon, and what tiles held; see `Detector`."""
+        self._rotation: TileRotation | None = None
         self._finder = HorizonFinder()
         self._planned: tuple[tuple[int, int], Horizon | None] | None = None
         self._views: tuple[Tile, ...] = ()
@@ -224,6 +246,8 @@ class OnnxDetector:
         Networks that take batches are shown views of the same size at once, which GPUs are quick
         at.
         """
+        if self._options.rotates:
+            return [self._detect_in_turn(frame) for frame in frames]
         jobs: list[tuple[int, int, Letterbox, NDArray[np.uint8]]] = []
         sizes: list[tuple[int, int]] = []
         plans: list[tuple[Tile, ...]] = []
@@ -247,6 +271,56 @@ class OnnxDetector:
             for number, frame in enumerate(frames)
         ]
 
+    def _detect_in_turn(self, frame: Frame) -> Boxes:
+        """Detect boxes in as many tiles of a frame as there is time for; see `TileRotation`."""
+        self._plan(frame)
+        assert self._rotation is not None, "planned for every size of frame"
+        image = frame.image_bgr
+        if self._measured_for != self._views and self._options.tiles_per_frame is None:
+            self.tiles_per_frame = self._measured(image)
+            self._measured_for = self._views
+        most = self.tiles_per_frame or 1
+        chosen = self._rotation.choose(image, frame.time_utc_s, most)
+        known = self._rotation.merge(dict(zip(chosen, self._look(image, chosen), strict=True)))
+        parts = [(one.xyxy_px, one.score, one.label, i) for i, one in known.items()]
+        return self._merged(frame, (image.shape[1], image.shape[0]), self._views, parts)
+
+    def _look(self, image: NDArray[np.uint8], chosen: Sequence[int]) -> list[Found]:
+        """What the network finds in some of the tiles, each by itself."""
+        canvases = []
+        for i in chosen:
+            view, box = self._views[i], self._boxes_of[i]
+            part = image[view.y : view.y + view.height, view.x : view.x + view.width]
+            canvases.append((box.canvas_px, box.apply(part, self._network.form.pad)))
+        out = []
+        for i, scored in zip(chosen, self._run(canvases), strict=True):
+            xyxy, score, label = self._chosen(scored)
+            xyxy = self._boxes_of[i].to_picture(xyxy) + np.tile(
+                [self._views[i].x, self._views[i].y], 2
+            )
+            out.append(Found(xyxy, score, label))
+        return out
+
+    def _measured(self, image: NDArray[np.uint8]) -> int:
+        """How many tiles of a picture are looked at within the budget on this machine."""
+        assert self._options.budget_ms is not None, "the tiles are counted where there is none"
+        spare = TileRotation(self._views, (image.shape[1], image.shape[0]))
+        spare.choose(image, float("nan"), 1)
+        # The first run of a network is slower than all others.
+        some = [i % len(self._views) for i in range(_MEASURED_TILES)]
+        self._look(image, some[:1])
+        looking_s, choosing_s = [], []
+        for i in some:
+            begun_s = time.perf_counter()
+            found = self._look(image, [i])
+            looking_s.append(time.perf_counter() - begun_s)
+            spare.merge({i: found[0]})
+            begun_s = time.perf_counter()
+            spare.choose(image, float("nan"), 1)
+            choosing_s.append(time.perf_counter() - begun_s)
+        left_s = 1e-3 * self._options.budget_ms - float(np.median(choosing_s))
+        return min(max(int(left_s / float(np.median(looking_s))), 1), len(self._views))
+
     def views(self, frame: Frame) -> tuple[Tile, ...]:
         """Tiles of a frame that the network is run on."""
         self._plan(frame)
@@ -256,7 +330,7 @@ class OnnxDetector:
         """Plan the tiles anew, where the frame's size or the horizon has changed."""
         height, width = frame.image_bgr.shape[:2]
         horizon = self._given_horizon_px
-        if horizon is None and self._view_settings.kind == "strip":
+        if horizon is None and (self._view_settings.kind == "strip" or self._options.rotates):
             horizon = self._finder.look(frame.image_bgr)
         if self._planned == ((width, height), horizon):
             return
@@ -265,12 +339,17 @@ class OnnxDetector:
             (width, height),
             self._view_settings,
             horizon_px=horizon,
-            input_px=self._network.input_px,
+            input_px=self._tile_px,
             stride_px=form.stride,
         )
         self._boxes_of = tuple(
-            place(view, self._network.input_px, form.stride, form.centred) for view in self._views
+            place(view, self._tile_px, form.stride, form.centred) for view in self._views
         )
+        if self._options.rotates:
+            if self._rotation is None or self._rotation.tiles != self._views:
+                self._rotation = TileRotation(self._views, (width, height))
+            band = None if horizon is None else self._view_settings.band(width, horizon)
+            self._rotation.set_band(band)
         self._planned = ((width, height), horizon)
 
     def _run(self, canvases: list[tuple[tuple[int, int], NDArray[np.uint8]]]) -> list[Scored]:

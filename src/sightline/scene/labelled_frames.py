@@ -75,9 +75,10 @@ def detect_labelled(
             progress(f"recording {name}", number / len(known))
         detector.reset()
         wanted = set(labels.frames.tolist())
+        alone = isinstance(detector, OnnxDetector) and not detector.remembers
         judged = []
         for frame in scene[name].frames():
-            if frame.index in wanted or not isinstance(detector, OnnxDetector):
+            if frame.index in wanted or not alone:
                 boxes = detector.detect(frame)
                 if frame.index in wanted:
                     judged.append(_judged(name, frame.index, labels, boxes))

@@ -21,6 +21,7 @@ from sightline.cli.common import (
 )
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_IOU
 from sightline.cli.options import (
+    BudgetOption,
     ClassesOption,
     DecoderOption,
     DetectorOption,
@@ -132,6 +133,7 @@ def evaluate(
     views: ViewsOption = None,
     enlarge: EnlargeOption = None,
     frame_width: FrameWidthOption = None,
+    budget: BudgetOption = None,
     model: HorizonModelOption = None,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
@@ -139,7 +141,11 @@ def evaluate(
     """Measure a detector on the frames of a scene, or on pictures, in which boxes were drawn."""
     keep_apart([json], [scene, labels, model, detector])
     pictures = _holds_pictures(scene)
-    of_others: dict[str, object] = {"--recordings": recordings, "--margin": margin}
+    of_others: dict[str, object] = {
+        "--recordings": recordings,
+        "--margin": margin,
+        "--budget": budget,
+    }
     if not pictures:
         of_others = {
             "--label-classes": label_classes,
@@ -164,7 +170,10 @@ def evaluate(
     from sightline.evaluation.detection import pooled, score_detections
 
     options = detector_options(
-        decoder, classes, threshold, provider, views, enlarge=enlarge, frame_width=frame_width
+        *(decoder, classes, threshold, provider, views),
+        enlarge=enlarge,
+        frame_width=frame_width,
+        budget=budget,
     )
     shown = _Shown(detector, options, model, least_height, others_false)
     with progress() as tell:
