@@ -30,6 +30,7 @@ _UNTYPED = {
     "detection/onnx.py": "onnxruntime has no types",
     "formats/_files.py": "options of pandas",
     "formats/_json_logs.py": _JSON,
+    "formats/area_geojson.py": _JSON,
     "formats/ais.py": "pyais has no types",
     "formats/geojson.py": _JSON,
     "formats/parquet.py": "pyarrow has no types",

@@ -80,6 +80,82 @@ def test_boxes_of_a_video(sightline: Command, harbour: Path, tmp_path: Path, end
     assert (told["frames"], told["boxes"]) == (40, 40)
 
 
+def masked(path: Path, left: int) -> Path:
+    """A mask of the left part of 640 x 360 px."""
+    image = np.full((360, 640), 255, np.uint8)
+    image[:, :left] = 0
+    cv2.imwrite(str(path), image)
+    return path
+
+
+def test_what_is_masked_is_not_kept_and_is_counted(
+    sightline: Command, harbour: Path, tmp_path: Path
+) -> None:
+    """The boat is 50 px wide and at 100 + 8 i px: half of it is masked until frame 24."""
+    out, told = tmp_path / "boxes.csv", tmp_path / "r.json"
+    plain = sightline("detect", harbour / "boat.mp4", "-o", out, "--detector", "motion")
+    assert plain.status == 0, plain.err
+    assert (read_boxes(out).xyxy_px[:, 2] < 320.0).any()
+    mask = masked(tmp_path / "mask.png", 320)
+    done = sightline(
+        *("detect", harbour / "boat.mp4", "-o", out, "--detector", "motion"),
+        *("--mask", mask, "--json", told),
+    )
+    assert done.status == 0, done.err
+    boxes = read_boxes(out)
+    assert len(boxes)
+    assert boxes.xyxy_px[:, [0, 2]].mean(axis=1).min() >= 320.0 - 1.0
+    network = detector_file(tmp_path / "net.onnx")
+    done = sightline(
+        *("detect", harbour / "boat.mp4", "-o", out, "--detector", network, "--views", "whole"),
+        *("--mask", mask, "--json", told, "--start-utc", "2023-11-14T22:13:20Z"),
+    )
+    assert done.status == 0, done.err
+    assert "left out: 40 boxes in what is masked" in done.out
+    assert json.loads(told.read_text())["masked"] == 40
+    assert len(read_boxes(out)) == 0
+
+
+def test_drawn_boxes_that_are_masked_are_neither_missed_nor_found(
+    sightline: Command, scene: Path, tmp_path: Path
+) -> None:
+    masked(scene.parent / "mask.png", 320)
+    scene.write_text('[camera]\nmask = "mask.png"\n' + scene.read_text())
+    network, result = detector_file(tmp_path / "net.onnx"), tmp_path / "r.json"
+    done = sightline(
+        *("detector", "evaluate", scene, "--detector", network, "--views", "whole"),
+        *("--json", result),
+    )
+    assert done.status == 0, done.err
+    told = json.loads(result.read_text())
+    # Of three boxes one lies to the right; what the network sees is on the left.
+    assert (told["frames"], told["drawn"], told["found"]) == (3, 1, 0)
+
+
+def test_tracks_outside_of_an_area_are_left_out(
+    sightline: Command, harbour: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "far.geojson").write_text(
+        '{"type": "Polygon", "coordinates": [[[0, 0], [1, 0], [1, 1], [0, 0]]]}'
+    )
+    told = tmp_path / "r.json"
+    command = (
+        *("track", harbour / "detections" / "01.csv", "--model", harbour / "camera.safetensors"),
+        *("-o", tmp_path / "t.geojson", "--json", told, "--clock", harbour / "clock" / "01.csv"),
+    )
+    plain = sightline(*command)
+    assert plain.status == 0, plain.err
+    before = json.loads(told.read_text())
+    assert before["tracks"] > 0
+    assert "left_out" not in before
+    done = sightline(*command, "--area", tmp_path / "far.geojson")
+    assert done.status == 0, done.err
+    after = json.loads(told.read_text())
+    assert after["tracks"] == 0
+    assert after["left_out"]["boxes outside of the area"] > 0
+    assert re.search(r"left out: \d+ boxes outside of the area", done.out)
+
+
 def test_a_budget_bounds_the_tiles_of_a_frame(
     sightline: Command, harbour: Path, tmp_path: Path
 ) -> None:
@@ -191,6 +267,7 @@ def test_labels_beside_the_scene(sightline: Command, scene: Path, tmp_path: Path
 
 
 DETECT = "detect {h}/boat.mp4 -o {t}/out/b.csv"
+TRACK = "track {h}/boxes/01.csv --model {h}/camera.safetensors -o {t}/out/t.csv"
 EVALUATE = "detector evaluate {h}/boat.toml --json {t}/out/e.json"
 NET = " --detector {t}/net.onnx"
 
@@ -208,6 +285,20 @@ REFUSED = [
     ("views", DETECT + NET + " --views all", "unknown kind of views 'all'; known are strip"),
     ("detector", DETECT + " --detector yolo", "unknown detector 'yolo'; known are motion, harbour"),
     ("motion", DETECT + " --detector motion --threshold 0.5", "runs no network"),
+    ("small mask", DETECT + NET + " --mask {h}/small/0.png", "0.png: masks all of the picture"),
+    ("no mask", DETECT + NET + " --mask {t}/none.png", "none.png: there is no such file"),
+    (
+        "mask of another size",
+        DETECT + NET + " --mask {t}/half.png",
+        "half.png: has 320 x 360 px, and the pictures of .*boat.mp4 640 x 360 px",
+    ),
+    (
+        "mask of another size than the model",
+        TRACK + " --mask {t}/half.png",
+        "half.png: has 320 x 360 px, and the pictures of the model 640 x 360 px",
+    ),
+    ("no area", TRACK + " --area {t}/empty.geojson", "empty.geojson: is empty"),
+    ("area is missing", TRACK + " --area {t}/none.geojson", "none.geojson: there is no such file"),
     ("enlarged", DETECT + NET + " --enlarge 0", "enlarge is 0; it must be more than 0"),
     ("budget", DETECT + NET + " --budget 0", "budget is 0 ms; give the milliseconds"),
     (
@@ -247,6 +338,8 @@ def test_bad_input_ends_in_a_line(
     (tmp_path / "bad.onnx").write_bytes(b"\x08\x07 this is no network")
     (tmp_path / "labels").mkdir()
     (tmp_path / "labels" / "boat.csv").write_text("frame,x1,y1,x2,y2\n")
+    cv2.imwrite(str(tmp_path / "half.png"), np.eye(360, 320, dtype=np.uint8) * 255)
+    (tmp_path / "empty.geojson").write_text("")
     (scene.parent / "small").mkdir()
     cv2.imwrite(str(scene.parent / "small" / "0.png"), np.zeros((60, 80, 3), np.uint8))
     done = sightline(*command.format(h=scene.parent, t=tmp_path).split())

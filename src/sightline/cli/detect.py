@@ -21,6 +21,7 @@ from sightline.cli.options import (
     FrameWidthOption,
     HorizonModelOption,
     JsonOption,
+    MaskOption,
     OverwriteOption,
     ProviderOption,
     StartOption,
@@ -58,6 +59,7 @@ def detect(
     enlarge: EnlargeOption = None,
     frame_width: FrameWidthOption = None,
     budget: BudgetOption = None,
+    mask: MaskOption = None,
     model: HorizonModelOption = None,
     start_utc: StartOption = None,
     clock: ClockOption = None,
@@ -68,7 +70,7 @@ def detect(
 
     Ctrl-C ends the source, and the boxes until then are written; a second one breaks off.
     """
-    keep_apart([output, json], [source, model, clock, detector])
+    keep_apart([output, json], [source, model, clock, detector, mask])
     keep_others([(output, "boxes"), (json, "result")], overwrite=overwrite)
     if "://" not in source and not os.path.exists(source):
         raise InputError(f"{source}: there is no such video or folder")
@@ -79,6 +81,7 @@ def detect(
         from sightline.detection.run import same_size
         from sightline.georeferencing.georeferencer import load_model
         from sightline.pipeline.sources import Ending, is_stream, is_table, make_detector
+        from sightline.video.mask import read_mask
         from sightline.video.reader import frame_count
 
         if is_table(source):
@@ -101,14 +104,19 @@ def detect(
         )
         if fitted is not None:
             frames = same_size(frames, fitted.image_size_px, source)
-        count, boxes_found = 0, 0
+        hidden = read_mask(mask) if mask is not None else None
+        if hidden is not None:
+            frames = hidden.painted(frames, source)
+        count, boxes_found, masked = 0, 0, 0
         attempts = Attempts()
         with Outputs(formats.box_writer, attempts) as written, progress() as tell:
             written.open([output])
             known = stopping.call(lambda: frame_count(source), stop)
             for boxes in detected(frames, found, known, tell):
-                count, boxes_found = count + 1, boxes_found + len(boxes)
-                written.add(boxes)
+                kept = boxes if hidden is None else boxes[~hidden.hides(boxes)]
+                masked += len(boxes) - len(kept)
+                count, boxes_found = count + 1, boxes_found + len(kept)
+                written.add(kept)
             written.finish()
     if stop.is_set():
         say_aside("stopped:", f"{source}: the boxes until then are written", "yellow")
@@ -119,9 +127,13 @@ def detect(
     except BrokenOffError as error:
         attempts.failed.append(error)
     result: dict[str, object] = {"frames": count, "boxes": boxes_found, "file": str(output)}
+    if hidden is not None:
+        result["masked"] = masked
     with attempts.one():
         write_result(json, {**result, "complete": not ending.early})
     say(f"{boxes_found} boxes in {count} frames")
+    if masked:
+        say(f"left out: {masked} boxes in what is masked")
     for line in tiles_in_turn(found):
         say(line)
     for path in written.written:

@@ -40,6 +40,26 @@ IntervalOption = Annotated[
     typer.Option("--interval", help="Seconds between points; absent: a point a box."),
 ]
 
+# Where targets can be, and where nothing is looked at.
+
+AreaOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--area",
+        metavar="FILE",
+        help="GeoJSON polygons where targets can be; what lies outside is left out, and counted. "
+        "May be given several times.",
+    ),
+]
+MaskOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--mask",
+        metavar="FILE",
+        help="A picture as large as the frames, black where they are neither looked at nor kept.",
+    ),
+]
+
 # When the frames of a source were taken.
 
 StartOption = Annotated[

@@ -147,5 +147,6 @@ def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, object]:
         }
         for name, clock in result.clocks.items()
     }
+    out["left_out_of_area"] = dict(result.left_out_of_area)
     out["notes"] = [*result.notes, *result.model.report.statements]
     return out

@@ -14,6 +14,7 @@ from sightline import signals
 from sightline.cli.common import check_model_is_there, progress, say, say_aside, write_result
 from sightline.cli.defaults import DEFAULT_DETECTOR, DEFAULT_TRAJECTORY
 from sightline.cli.options import (
+    AreaOption,
     BudgetOption,
     ClassesOption,
     ClockOption,
@@ -21,6 +22,7 @@ from sightline.cli.options import (
     EnlargeOption,
     IntervalOption,
     JsonOption,
+    MaskOption,
     OverwriteOption,
     StartOption,
     ThresholdOption,
@@ -137,6 +139,8 @@ def track(
             "time_utc,water_level_m.",
         ),
     ] = None,
+    area: AreaOption = None,
+    mask: MaskOption = None,
     detector: DetectorOption = DEFAULT_DETECTOR,
     classes: ClassesOption = None,
     threshold: ThresholdOption = None,
@@ -178,6 +182,7 @@ def track(
     water = parse_water_level(water_level)
     table = water if isinstance(water, Path) else None
     inputs: list[Path | str | None] = [source, model, clock, platform, horizon, table, detector]
+    inputs += [*(area or []), mask]
     keep_apart([*output, *ahead, json], inputs)
     for path in context.meta[_FURTHER]:
         check_holds_tracks(path)
@@ -190,6 +195,7 @@ def track(
         from sightline.georeferencing.georeferencer import load_model
         from sightline.pipeline.sources import is_stream, is_table, make_detector
         from sightline.pipeline.track import TrackSettings, iter_tracks
+        from sightline.tally import Tally
 
         fitted = load_model(model)
         if "://" not in source and not os.path.exists(source):
@@ -199,6 +205,8 @@ def track(
             interval_s=interval_s,
             compensate_rotation=compensate_rotation,
             clock_offset_s=clock_offset_s or 0.0,
+            area=formats.read_area(area) if area else None,
+            tally=Tally(source),
         )
         if forecast_s is not None:
             settings = replace(settings, forecast_s=forecast_s)
@@ -238,6 +246,7 @@ def track(
                 platform=platform,
                 horizons=horizons,
                 water_levels=water,
+                mask=mask,
                 settings=settings,
                 progress=tell,
                 forecasts=forecasts.add if ahead else None,
@@ -260,6 +269,11 @@ def track(
     }
     if ahead:
         result["forecasts"] = [str(path) for path in forecasts.written]
+    left_out: dict[str, int] = {}
+    if settings.tally is not None:
+        left_out = {reason: left.count for reason, left in settings.tally.left_out.items()}
+    if area or mask is not None:
+        result["left_out"] = left_out
     if clock_offset_s:
         result["clock_offset_s"] = clock_offset_s
     with attempts.one():
@@ -267,6 +281,8 @@ def track(
     say(f"{summary.tracks} tracks, {summary.points} points")
     for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
         say(line)
+    if left_out:
+        say(f"left out: {', '.join(f'{count} {reason}' for reason, count in left_out.items())}")
     for note in _clock_notes(clock_offset_s, fitted.report.clocks):
         say(f"note: {note}")
     for path in tracks.written:

@@ -26,6 +26,7 @@ from sightline.formats.ais import (
     read_ais_feed,
     read_ais_vessel,
 )
+from sightline.formats.area_geojson import read_area
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
 from sightline.formats.control_points import read_control_points
@@ -57,6 +58,7 @@ __all__ = [
     "read_ais",
     "read_ais_dimensions",
     "read_ais_feed",
+    "read_area",
     "read_boxes",
     "read_clock",
     "read_control_points",

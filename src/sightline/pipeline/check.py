@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,10 +39,12 @@ from sightline.scene.correspondences import collect, settled
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.tracks import Tracks
 from sightline.types import FloatArray
+from sightline.video.mask import read_mask
 
 _FEW_BOXES = 20
 _SMALL_WIDTH, _SMALL_HEIGHT = 0.25, 0.05
 _LEAST_OVERLAP = 0.5
+_LEAST_INSIDE = 0.5
 _MOST_LINES = 20
 _MUCH = 0.1
 """A clock that covers so much more of a recording is worth a word."""
@@ -248,6 +250,8 @@ def check_scene(scene: Scene, *, every_picture: bool = True) -> CheckReport:
         _check_tables(recording, one, once, size_px)
         _check_logs(scene, recording, one, once)
         report.recordings.append(one)
+    _check_mask(scene, report, size_px)
+    _check_area(scene, report)
     _check_times(scene, report)
     told = _with_clocks(scene, report)
     _check_overlaps(told, report)
@@ -305,13 +309,67 @@ def _check_pictures(
             seen.warn(line)
 
 
+def _check_mask(scene: Scene, report: CheckReport, size_px: tuple[int, int] | None) -> None:
+    """The mask, and whether it is as large as what it masks."""
+    if scene.camera.mask_path is None:
+        return
+    found = report.add(started(scene.camera.mask_path, "mask"))
+    with found.refusing():
+        mask = read_mask(found.path)
+        share = float(mask.hidden.mean())
+        found.facts |= {"size_px": [float(v) for v in mask.size_px], "masked_share": share}
+        found.said = f"{100.0 * share:.1f} % of the picture is masked"
+        if share == 0.0:
+            found.warn("masks nothing; paint black what is to be masked")
+        if size_px is not None:
+            mask.check_size(size_px, f"the scene {scene.path}")
+        for one in report.recordings:
+            seen = one.of("video", "pictures")
+            if seen is not None and seen.size_px is not None:
+                mask.check_size(seen.size_px, f"recording {one.name}")
+
+
+def _check_area(scene: Scene, report: CheckReport) -> None:
+    """The area, and whether the logs lie in it."""
+    for path in scene.camera.area_paths:
+        report.add(_check_area_file(path))
+    area = None
+    with suppress(SightlineError):
+        # What is wrong with a file has been said.
+        area = scene.area()
+    for one in report.recordings if area is not None else ():
+        log = one.of("log")
+        if area is None or log is None or log.fixes is None or not len(log.fixes):
+            continue
+        inside = area.contains(log.fixes.latitude_deg, log.fixes.longitude_deg)
+        share = float(inside.mean())
+        if share < _LEAST_INSIDE:
+            report.warnings.append(
+                f"recording {one.name}: {100.0 * (1.0 - share):.0f} % of the fixes of its log lie "
+                f"outside of the area ({area.where}), where nothing is kept; is it the right one?"
+            )
+
+
+def _check_area_file(path: Path) -> FileCheck:
+    found = started(path, "area")
+    with found.refusing():
+        area = formats.read_area(path)
+        corners = sum(len(ring) for polygon in area.polygons for ring in polygon.rings)
+        count = len(area.polygons)
+        found.facts |= {"polygons": count, "corners": corners}
+        found.said = f"{count} polygon{'s' * (count != 1)} of {corners} corners"
+    return found
+
+
 def _check_tables(
     recording: Recording, one: RecordingCheck, once: Once, size_px: tuple[int, int] | None
 ) -> None:
     """Boxes, detections, horizons and water levels of a recording."""
+    # What is wrong with the mask is said of the mask.
+    bare = replace(recording, mask_path=None)
     for kind, path, read in (
         ("boxes", recording.boxes_path, recording.boxes),
-        ("detections", recording.detections_path, recording.detections),
+        ("detections", recording.detections_path, bare.detections),
     ):
         if path is None:
             continue
@@ -593,6 +651,8 @@ def _check_file(path: Path) -> FileCheck:
             return check_pictures(path, None)
         if kind == "clock":
             return check_clock(path)[0]
+        if kind == "area":
+            return _check_area_file(path)
         unknown.kind = kind
         _OTHERS[kind](unknown)
     return unknown

@@ -19,6 +19,7 @@ _HEAD_BYTES = 65536
 _LOOKED_AT = 4096
 _TABLE_SUFFIXES = (".csv", ".txt", ".log", ".tsv")
 _SENTENCE = re.compile(r"[$!][A-Z]{5},")
+_POLYGON = re.compile(rb'"type"\s*:\s*"(?:Multi)?Polygon"')
 _TRACK_SUFFIXES = (".geojson", ".parquet", ".gpkg", ".kml")
 
 # The columns that tell a table, those that tell more first.
@@ -49,6 +50,8 @@ def kind_of(path: Path) -> str:
     suffix = path.suffix.lower()
     if suffix in _SUFFIXES:
         return _SUFFIXES[suffix]
+    if suffix in (".geojson", ".json") and _POLYGON.search(head):
+        return "area"
     if suffix in _TRACK_SUFFIXES:
         return "tracks"
     text = _text(head)

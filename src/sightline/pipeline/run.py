@@ -38,6 +38,7 @@ from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.scene.correspondences import collect, settled
 from sightline.scene.detections import SceneDetections
+from sightline.tally import Tally
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.types import NO_TRACK, Boxes, Track
@@ -67,6 +68,8 @@ class RunResult:
         single_learned_from: Single boxes likewise.
         clocks: By recording, how far its camera's clock is ahead of the log's. Where that is sure,
             the recording's tracks are in the log's time.
+        left_out_of_area: How many boxes and tracks were left out, since they lie outside of the
+            scene's area or in its mask, by the reason.
     """
 
     scene: Scene
@@ -81,6 +84,7 @@ class RunResult:
     smoothed_learned_from: Report | None = None
     single_learned_from: Report | None = None
     clocks: Mapping[str, ClockOffset] = field(default_factory=dict)
+    left_out_of_area: Mapping[str, int] = field(default_factory=dict)
 
 
 def run(
@@ -117,6 +121,8 @@ def run(
     settings = replace(
         settings,
         compensate_rotation=settings.compensate_rotation and scene.camera.compensate_rotation,
+        area=settings.area or scene.area(),
+        tally=Tally(scene.path),
     )
     tell = progress or (lambda _what, _share: None)
     seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
@@ -150,7 +156,8 @@ def run(
     single_boxes = _report_boxes(single, left_out)
     smoothed_rest, single_rest = _report_tracks(tracked.scored, rest), _report_boxes(single, rest)
     own = {one.recording: one.clock for one in placed if one.recording in models}
-    notes = (*clock_notes(own), *said, *tracked.notes)
+    left = _left_out(settings.tally, seen.tally)
+    notes = (*clock_notes(own), *said, *tracked.notes, *_left_out_notes(left))
     if rest:
         notes = (_in_sample(rest if left_out else [], failed), *notes)
     return RunResult(
@@ -166,7 +173,24 @@ def run(
         smoothed_learned_from=smoothed_rest if left_out else None,
         single_learned_from=single_rest if left_out else None,
         clocks=fitted.report.clocks,
+        left_out_of_area=left,
     )
+
+
+def _left_out(*tallies: Tally | None) -> dict[str, int]:
+    """How many boxes and tracks were left out, by the reason."""
+    out: dict[str, int] = {}
+    for tally in tallies:
+        for reason, left in tally.left_out.items() if tally is not None else ():
+            out[reason] = out.get(reason, 0) + left.count
+    return out
+
+
+def _left_out_notes(left: Mapping[str, int]) -> tuple[str, ...]:
+    """A sentence on what was left out, where something was."""
+    if not left:
+        return ()
+    return (f"Left out: {', '.join(f'{count} {reason}' for reason, count in left.items())}.",)
 
 
 def _in_log_time(scene: Scene, fitted: Georeferencer) -> tuple[Scene, tuple[str, ...]]:
@@ -237,7 +261,9 @@ def _track_each(
             made = track_recording(recording, fitted, seen, settings)
             judged = made
             if held is not fitted:
-                judged = track_recording(judged_scene[recording.name], held, seen, settings)
+                # What is left out is counted once.
+                again = replace(settings, tally=None)
+                judged = track_recording(judged_scene[recording.name], held, seen, again)
         except FrameRateError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
@@ -394,7 +420,8 @@ def track_recording(
         made = smooth_boxes(located, smoother, settings, track_id=1, platform=platform)
         return [] if made is None else [made]
     if recording.detections_path is not None:
-        batches, highest_id = from_memory(recording.detections())
+        found = recording.detections(tally=settings.tally)
+        batches, highest_id = from_memory(found)
     else:
         check_frame_rate(seen.times_utc_s(recording).tolist()[:LOOKED_AT], "pictures", model)
         batches, highest_id = iter([seen.boxes(recording)]), NO_TRACK

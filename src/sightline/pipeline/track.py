@@ -7,13 +7,14 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypedDict, Unpack
 
 import numpy as np
 
 from sightline import formats, stopping, video
+from sightline.area import Area
 from sightline.camera.horizon_tracker import with_horizons
 from sightline.camera.state import CameraHistory, ObservedBoxes
 from sightline.clock import Clock
@@ -37,6 +38,8 @@ from sightline.pipeline.sources import (
 )
 from sightline.platform import Platform, moved_track, north_up, on_earth
 from sightline.progress import Progress
+from sightline.scene.scene import MASKED
+from sightline.tally import Tally
 from sightline.tracking import ImageTracker, TargetTracker, Tracker, WorldTracker, tracker_by_name
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
@@ -44,6 +47,7 @@ from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.trajectory.forecast import follow as follow_motion
 from sightline.types import (
     NO_TRACK,
+    BoolArray,
     Boxes,
     BoxesWith,
     EastNorthPositions,
@@ -53,6 +57,7 @@ from sightline.types import (
     Positions,
     Track,
 )
+from sightline.video.mask import Mask, read_mask
 from sightline.video.reader import frame_count
 from sightline.water import WaterLevels
 
@@ -70,6 +75,9 @@ _MOST_FORECASTS = 100_000
 _LOOKED_AT_BOXES = 1000
 # Many at once cost less than each alone; a stream waits for them, and its targets far longer.
 _LOCATED_MOMENTS = 64
+
+BOXES_OUTSIDE, TRACKS_OUTSIDE = "boxes outside of the area", "tracks outside of the area"
+"""The reasons for which a `Tally` counts them."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +100,9 @@ class TrackSettings:
         compensate_rotation: Whether camera rotation seen in the video is compensated.
         clock_offset_s: How far the camera's clock is ahead of the true time (the log's); it is
             taken off, so that the tracks are in that.
+        area: Where targets can be: boxes with a place outside, and tracks that lie outside for the
+            most part, are left out. None: anywhere.
+        tally: Told what the area and a mask leave out.
     """
 
     trajectory: str | TrajectoryMethod = DEFAULT_TRAJECTORY
@@ -104,6 +115,8 @@ class TrackSettings:
     forecast_interval_s: float = 5.0
     compensate_rotation: bool = True
     clock_offset_s: float = 0.0
+    area: Area | None = None
+    tally: Tally | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         # An unknown name is told before any work is done.
@@ -140,6 +153,7 @@ class SourceOptions(TypedDict, total=False):
         horizons: Where the horizon lies, for boxes in a table; in frames it is looked for.
         water_levels: How high the water stands, metres above the datum of the model's scene, or a
             table of it; needed where that scene had such.
+        mask: A picture of the frames' size, black where they are neither looked at nor kept.
     """
 
     detector: Detector | str | None
@@ -148,6 +162,7 @@ class SourceOptions(TypedDict, total=False):
     platform: Platform | str | os.PathLike[str] | None
     horizons: Horizons | None
     water_levels: WaterLevels | float | str | os.PathLike[str] | None
+    mask: Mask | str | os.PathLike[str] | None
 
 
 def track(
@@ -166,7 +181,7 @@ def track(
         settings: How boxes become tracks.
         progress: Told how far it is.
         options: What the source comes with: ``detector``, ``clock``, ``start_utc_s``,
-            ``platform``, ``horizons``, ``water_levels``; see `SourceOptions`.
+            ``platform``, ``horizons``, ``water_levels``, ``mask``; see `SourceOptions`.
 
     Raises:
         InputError: The source cannot be read, nothing tells its times, or the model is of a camera
@@ -254,6 +269,11 @@ def iter_tracks(
             "were seen; give a clock (frame,utc), or time_utc with the boxes"
         )
     where = "" if isinstance(source, Boxes) else f"{source}: "
+    mask = options.get("mask")
+    if mask is not None and not isinstance(mask, Mask):
+        mask = read_mask(mask)
+    if mask is not None:
+        mask.check_size(model.image_size_px, "the model")
     ending = Ending(stop)
     batches: Iterator[Boxes]
     if isinstance(source, Boxes) or table:
@@ -264,6 +284,7 @@ def iter_tracks(
         )
         history = CameraHistory(horizons=options.get("horizons"), water=water)
         dated = (with_times(boxes, clock, model, where) for boxes in ending.until(batches))
+        dated = (_unmasked(boxes, mask, settings) for boxes in dated)
         observed: Iterator[ObservedBoxes] = map(history.observed, dated)
     else:
         highest_id = NO_TRACK
@@ -273,12 +294,15 @@ def iter_tracks(
         frames = ending.frames(
             partial(video.frames, source, clock=clock, start_utc_s=start_utc_s), str(source)
         )
+        if mask is not None:
+            frames = mask.painted(fit_for_use(frames, model, str(source)), str(source))
         usable = observe(fit_for_use(frames, model, str(source)), [monitor])
         if model.horizon_px is not None:
             usable = with_horizons(usable)
         count = stopping.call(partial(frame_count, source), stop)
         found = detect(usable, make_detector(options.get("detector"), model), count, progress)
-        observed = monitor.observed(with_times(boxes, None, model, where) for boxes in found)
+        kept = (_unmasked(boxes, mask, settings) for boxes in found)
+        observed = monitor.observed(with_times(boxes, None, model, where) for boxes in kept)
     if late_s:
         observed = (_in_log_time(boxes, late_s) for boxes in observed)
     try:
@@ -291,6 +315,16 @@ def iter_tracks(
         if not ending.early:
             raise
     ending.check()
+
+
+def _unmasked(boxes: Boxes, mask: Mask | None, settings: TrackSettings) -> Boxes:
+    """Boxes without those that are masked."""
+    if mask is None:
+        return boxes
+    hidden = mask.hides(boxes)
+    if settings.tally is not None:
+        settings.tally.leave_out(MASKED, int(hidden.sum()))
+    return boxes if not hidden.any() else boxes[~hidden]
 
 
 def _by_camera(water: WaterLevels | None, late_s: float) -> WaterLevels | None:
@@ -353,12 +387,15 @@ def follow(
     compensated = map(model.compensated, _counted(batches, boxes_seen))
     if highest_id == NO_TRACK:
         tracker = _tracker(model, settings, platform)
-        ended = book.ended_by_moment(_followed(compensated, model, first_s, tracker))
+        inside = _Inside(settings, model, platform)
+        ended = book.ended_by_moment(_followed(compensated, model, first_s, tracker, inside))
     else:
         ended = book.ended(compensated)
     count = 0
     for number, own in ended:
         boxes = own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
+        if highest_id != NO_TRACK:
+            boxes = boxes[_Inside(settings, model, platform).rows(boxes)]
         made = smooth_boxes(
             boxes,
             smoother,
@@ -367,7 +404,7 @@ def follow(
             shortest_s=settings.shortest_s,
             platform=platform,
         )
-        if made is not None:
+        if made is not None and _lies_in(made, settings):
             count += 1
             if forecasts is not None:
                 forecasts(_forecast(boxes, settings, made, platform))
@@ -381,6 +418,52 @@ def follow(
                 boxes_seen[0],
                 settings.shortest_s,
             )
+
+
+class _Inside:
+    """Tells which boxes lie in the area, and counts those that do not.
+
+    A box without a place, above the horizon, is left to who follows it.
+    """
+
+    def __init__(
+        self, settings: TrackSettings, model: Georeferencer, platform: Platform | None
+    ) -> None:
+        self._settings, self._model, self._platform = settings, model, platform
+
+    @property
+    def asked(self) -> bool:
+        """Whether there is an area."""
+        return self._settings.area is not None
+
+    def rows(self, boxes: Boxes) -> BoolArray:
+        """(N,) bool.
+
+        Args:
+            boxes: Located, or else they are here.
+        """
+        area = self._settings.area
+        if area is None:
+            return np.ones(len(boxes), dtype=bool)
+        if not isinstance(boxes, LocatedBoxes):
+            boxes = self._model.place_compensated(_observed(boxes))
+        places = positions_on_earth(boxes, self._platform, until_then=True)
+        inside = area.contains(places.latitude_deg, places.longitude_deg) | ~places.known
+        if self._settings.tally is not None:
+            self._settings.tally.leave_out(BOXES_OUTSIDE, int((~inside).sum()))
+        return inside
+
+
+def _lies_in(track: Track, settings: TrackSettings) -> bool:
+    """Whether a track lies in the area for the most part; one that does not is counted."""
+    if settings.area is None:
+        return True
+    inside = settings.area.contains(track.latitude_deg, track.longitude_deg)
+    if 2 * int(inside.sum()) >= len(track):
+        return True
+    if settings.tally is not None:
+        settings.tally.leave_out(TRACKS_OUTSIDE)
+    return False
 
 
 def _counted(batches: Iterable[ObservedBoxes], seen: list[int]) -> Iterator[ObservedBoxes]:
@@ -412,7 +495,11 @@ def _forecast(
 
 
 def _followed(
-    batches: Iterator[ObservedBoxes], model: Georeferencer, first_s: list[float], tracker: Tracker
+    batches: Iterator[ObservedBoxes],
+    model: Georeferencer,
+    first_s: list[float],
+    tracker: Tracker,
+    inside: _Inside,
 ) -> Iterator[Boxes]:
     """Boxes with the track ids that a tracker assigns, in the order of time.
 
@@ -424,17 +511,22 @@ def _followed(
         model: Says where a box lies, as the tracker needs it.
         first_s: Is given the first of their times.
         tracker: Gives the ids.
+        inside: Tells which boxes it is given.
     """
     several = tracker.follow if isinstance(tracker, TargetTracker) else None
     for boxes in groups_of_moments(batches, _LOCATED_MOMENTS):
         assert isinstance(boxes, ObservedBoxes), "parts of such have their state"
         located = boxes if isinstance(tracker, ImageTracker) else model.place_compensated(boxes)
+        first_s += _first_times(boxes, _LOOKED_AT_BOXES - len(first_s))
+        if inside.asked:
+            rows = inside.rows(located)
+            boxes, located = boxes[rows], located[rows]
+            if not len(boxes):
+                continue
         if several is not None:
-            first_s += _first_times(boxes, _LOOKED_AT_BOXES - len(first_s))
             yield several(located)
             continue
         for given in moments([located]):
-            first_s += _first_times(given, _LOOKED_AT_BOXES - len(first_s))
             yield _given_back(tracker.update(given), given)
 
 

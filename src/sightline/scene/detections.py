@@ -17,6 +17,7 @@ from sightline.detection.run import FrameObserver, detect, observe, usable
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.scene.camera_state import remember_static_intervals, static_intervals_known
+from sightline.tally import Tally
 from sightline.types import Boxes, FloatArray, Frame
 from sightline.video.reader import frame_count
 
@@ -41,6 +42,9 @@ class SceneDetections:
 
     Whatever is to observe a recording's pictures as the detector does observes them in the same
     pass. A pass holds one picture at a time.
+
+    Attributes:
+        tally: What was found and left out, since it is masked.
     """
 
     def __init__(
@@ -71,6 +75,7 @@ class SceneDetections:
         self._stills_wanted = stills
         self._found: dict[str, tuple[Boxes, FloatArray]] = {}
         self._stills: dict[str, NDArray[np.uint8]] = {}
+        self.tally = Tally(scene.path)
 
     @property
     def lower_edges(self) -> Mapping[str, LowerEdge | None]:
@@ -137,7 +142,8 @@ class SceneDetections:
                 lambda _what, share: self._tell(f"detecting in {recording.name}", share),
             )
         )
-        self._found[recording.name] = Boxes.concatenate(found), np.array(times.utc_s)
+        boxes = recording.unmasked(Boxes.concatenate(found), self.tally)
+        self._found[recording.name] = boxes, np.array(times.utc_s)
         if static_intervals is not None:
             remember_static_intervals(recording, static_intervals.static_intervals)
         if still is not None:

@@ -13,6 +13,7 @@ from sightline.evaluation.detection import JudgedFrame
 from sightline.formats.labels import Labels, read_label_folder
 from sightline.scene import Recording, Scene
 from sightline.types import Boxes
+from sightline.video.mask import Mask
 
 
 def scene_labels(scene: Scene, labels: str | Path | None = None) -> dict[str, Labels]:
@@ -75,24 +76,32 @@ def detect_labelled(
             progress(f"recording {name}", number / len(known))
         detector.reset()
         wanted = set(labels.frames.tolist())
+        mask = scene[name].mask()
         alone = isinstance(detector, OnnxDetector) and not detector.remembers
         judged = []
         for frame in scene[name].frames():
             if frame.index in wanted or not alone:
                 boxes = detector.detect(frame)
                 if frame.index in wanted:
-                    judged.append(_judged(name, frame.index, labels, boxes))
+                    judged.append(_judged(name, frame.index, labels, boxes, mask))
         if judged:
             out[name] = judged
     return out
 
 
-def _judged(recording: str, index: int, labels: Labels, boxes: Boxes) -> JudgedFrame:
+def _judged(
+    recording: str, index: int, labels: Labels, boxes: Boxes, mask: Mask | None
+) -> JudgedFrame:
     own = labels.boxes.frame == index
+    target = labels.target[own]
+    if mask is not None:
+        # What nobody may look at is neither missed nor found.
+        target = target & ~mask.hides(labels.boxes[own])
+        boxes = boxes[~mask.hides(boxes)]
     return JudgedFrame(
         name=f"{recording}/{index}",
         truth_xyxy_px=labels.boxes.xyxy_px[own],
-        ignored=~labels.target[own],
+        ignored=~target,
         found_xyxy_px=boxes.xyxy_px,
         confidence=boxes.confidence,
     )

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline import formats, video
+from sightline.area import Area
 from sightline.camera.stated import PICTURE_FOCAL_SHARE, SLOTS, StatedCamera, stated_camera
 from sightline.clock import Clock, OffsetClock, presentation_clock
 from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
@@ -24,8 +25,10 @@ from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.plausibility import check_near, check_together
 from sightline.scene.hull import Hull
-from sightline.scene.schema import PointTable, RecordingTable, parse_scene_table
+from sightline.scene.schema import CameraTable, PointTable, RecordingTable, parse_scene_table
+from sightline.tally import Tally
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
+from sightline.video.mask import Mask, read_mask
 from sightline.water import WaterLevels
 
 _FILES = (
@@ -43,6 +46,9 @@ _FILES = (
 
 _LONGEST_PATH = 400
 
+MASKED = "boxes in what is masked"
+"""The reason for which a `Tally` counts them."""
+
 
 @dataclass(frozen=True)
 class CameraSite:
@@ -55,6 +61,8 @@ class CameraSite:
         image_size_px: Width and height; None where the scene file leaves that to the video.
         compensate_rotation: Whether camera rotation seen in the frames is compensated.
         stated: What else the scene file states of the camera.
+        area_paths: GeoJSON files of polygons where targets can be; none: anywhere.
+        mask_path: A picture that masks parts of the frames, or None.
     """
 
     name: str = ""
@@ -63,6 +71,8 @@ class CameraSite:
     image_size_px: tuple[int, int] | None = None
     compensate_rotation: bool = True
     stated: StatedCamera = field(default_factory=StatedCamera)
+    area_paths: tuple[Path, ...] = ()
+    mask_path: Path | None = None
 
     @property
     def place_deg(self) -> tuple[float, float] | None:
@@ -97,6 +107,7 @@ class Recording:
             off all times of frames and boxes, which are then in the log's time.
         clock_prior: What was believed of that offset before any data.
         clock_found: What boxes and log told of it; None where they were not asked.
+        mask_path: A picture that masks parts of its frames, or None.
     """
 
     name: str
@@ -118,6 +129,7 @@ class Recording:
     clock_offset_s: float = 0.0
     clock_prior: ClockPrior = field(default_factory=ClockPrior)
     clock_found: ClockOffset | None = None
+    mask_path: Path | None = None
 
     def by_camera(self) -> Recording:
         """The same by the camera's own clock, whatever offset it has."""
@@ -166,11 +178,15 @@ class Recording:
         boxes = formats.read_boxes(self.boxes_path, image_size_px=self.image_size_px)
         return self._timed(boxes, self.boxes_path)
 
-    def detections(self) -> Boxes:
+    def detections(self, *, tally: Tally | None = None) -> Boxes:
         """The boxes of anything, with their times.
 
         Boxes without an annotator get the file's name, less its ending, for their source. Boxes
-        without width or height, which some detectors put out, are left out.
+        without width or height, which some detectors put out, are left out, and so are those that
+        are masked.
+
+        Args:
+            tally: Told how many were masked.
 
         Raises:
             InputError: As `boxes`.
@@ -181,7 +197,37 @@ class Recording:
         boxes = formats.read_boxes(
             path, source=path.stem, skip_empty=True, image_size_px=self.image_size_px
         )
-        return self._timed(boxes, path)
+        return self.unmasked(self._timed(boxes, path), tally)
+
+    def unmasked(self, boxes: Boxes, tally: Tally | None = None) -> Boxes:
+        """Boxes without those that are masked; see `sightline.video.mask.Mask.hides`.
+
+        Args:
+            boxes: Of the recording.
+            tally: Told how many were masked.
+
+        Raises:
+            InputError: The mask cannot be used.
+        """
+        mask = self.mask()
+        if mask is None:
+            return boxes
+        if self.image_size_px is not None:
+            mask.check_size(self.image_size_px, f"recording {self.name}")
+        hidden = mask.hides(boxes)
+        if tally is not None:
+            tally.leave_out(MASKED, int(hidden.sum()))
+        return boxes[~hidden]
+
+    def mask(self) -> Mask | None:
+        """Which pixels of the frames are masked; None where there is no mask.
+
+        Raises:
+            InputError: It cannot be used.
+        """
+        if self.mask_path is None:
+            return None
+        return _mask(self.mask_path, self.mask_path.stat().st_mtime_ns)
 
     def fixes(self) -> Fixes:
         """The log of the target, as fixes: of the middle of its hull, where that is known.
@@ -262,12 +308,19 @@ class Recording:
     def frames(self, *, apart_s: float = 0.0) -> Iterator[Frame]:
         """The frames, one at a time, with their times; NaN where nothing tells them.
 
+        What is masked is grey in them, whoever looks.
+
         Args:
             apart_s: Pictures that follow the one before them sooner are left out.
 
         Raises:
-            InputError: The recording has none, or they cannot be read.
+            InputError: The recording has none, they cannot be read, or the mask has another size.
         """
+        mask = self.mask()
+        frames = self._frames(apart_s)
+        return frames if mask is None else mask.painted(frames, f"recording {self.name}")
+
+    def _frames(self, apart_s: float) -> Iterator[Frame]:
         if self.source is None:
             raise InputError(f"recording {self.name}: has no pictures; give video or frames")
         if self.clock_path is not None:
@@ -336,7 +389,11 @@ class Scene:
             image_size_px=(size[0], size[1]) if size else None,
             compensate_rotation=table.camera.compensate_rotation,
             stated=stated_camera({key: getattr(table.camera, key) for key in SLOTS}),
+            area_paths=tuple(base / name for name in _area_files(table.camera)),
+            mask_path=None if table.camera.mask is None else base / table.camera.mask,
         )
+        for key, written in _camera_files(table.camera):
+            _check_there(Path(path), key, base / written, False)
         names = [recording.name for recording in table.recordings]
         for name in names:
             if names.count(name) > 1:
@@ -362,7 +419,18 @@ class Scene:
             for value in vars(part).values()
             if isinstance(value, Path)
         ]
-        return (self.path, *dict.fromkeys(named))
+        return (self.path, *dict.fromkeys([*self.camera.area_paths, *named]))
+
+    def area(self) -> Area | None:
+        """Where targets can be; None where the scene does not say.
+
+        Raises:
+            InputError: A file of it cannot be used.
+        """
+        paths = self.camera.area_paths
+        if not paths:
+            return None
+        return _area(paths, tuple(path.stat().st_mtime_ns for path in paths))
 
     @property
     def plane(self) -> LocalPlane | None:
@@ -503,7 +571,8 @@ def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
     """
     table = parse_scene_table(Path(path))
     base = Path(path).parent
-    named = [
+    named = [(key, written, False) for key, written in _camera_files(table.camera)]
+    named += [
         (f"recordings[{i}].{key}", written, key == "frames")
         for i, recording in enumerate(table.recordings, start=1)
         for key in _FILES
@@ -520,6 +589,28 @@ def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
         except InputError as error:
             missing.append(str(error))
     return list(there), missing
+
+
+def _area_files(camera: CameraTable) -> list[str]:
+    if camera.area is None:
+        return []
+    return [camera.area] if isinstance(camera.area, str) else camera.area
+
+
+def _camera_files(camera: CameraTable) -> list[tuple[str, str]]:
+    """The files that a camera names, with their keys."""
+    masks = [] if camera.mask is None else [("camera.mask", camera.mask)]
+    return [*(("camera.area", name) for name in _area_files(camera)), *masks]
+
+
+@lru_cache(maxsize=8)
+def _area(paths: tuple[Path, ...], _modified_ns: tuple[int, ...]) -> Area:
+    return formats.read_area(paths)
+
+
+@lru_cache(maxsize=8)
+def _mask(path: Path, _modified_ns: int) -> Mask:
+    return read_mask(path)
 
 
 # Recordings share their logs, which are long.
@@ -601,6 +692,7 @@ def _recording(
         clock_prior=clock,
         clock_found=None,
         stated_hull=Hull.of(table.length_m, table.beam_m, table.antenna_m),
+        mask_path=camera.mask_path,
         **paths,
     )
 

@@ -68,6 +68,8 @@ class CameraTable(Table):
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
     image_size_px: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None
+    area: str | list[str] | None = None
+    mask: str | None = None
     compensate_rotation: bool = Field(
         default=True, validation_alias=AliasChoices("compensate_rotation", "watched")
     )
@@ -95,6 +97,13 @@ class CameraTable(Table):
             )
         if not low < values[0] < high:
             raise ValueError(f"give {unit}, between {low:g} and {high:g}; it is {values[0]:g}")
+        return given
+
+    @field_validator("area")
+    @classmethod
+    def _of_files(cls, given: str | list[str] | None) -> str | list[str] | None:
+        if given is not None and not (given and all(given)):
+            raise ValueError("give a GeoJSON file of polygons, or a list of such files")
         return given
 
     @field_validator("principal_point_px")
@@ -274,7 +283,7 @@ def _first_problem(error: ValidationError) -> str:
     problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
     problem = problems[0]
     # The names of the alternatives of a union are no keys.
-    alternatives = ("str", "list[PointTable]", "float", "list[float]")
+    alternatives = ("str", "list[str]", "list[PointTable]", "float", "list[float]")
     steps = [step for step in problem["loc"] if step not in alternatives]
     where = ""
     for step in steps:

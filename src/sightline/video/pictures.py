@@ -66,7 +66,10 @@ class GreyScale:
 
 
 def read_picture(
-    path: str | os.PathLike[str], *, grey: GreyScale | None = None
+    path: str | os.PathLike[str],
+    *,
+    grey: GreyScale | None = None,
+    transparent: int | None = None,
 ) -> NDArray[np.uint8]:
     """Read a picture as it is shown: upright and not mirrored, in 8 bits.
 
@@ -76,6 +79,7 @@ def read_picture(
         path: The file.
         grey: How grey values of more than 8 bits are scaled; where it is not given, by the range
             of this picture.
+        transparent: Grey value that is behind transparent pixels. Absent: what the file has there.
 
     Returns:
         (H, W, 3) BGR.
@@ -97,7 +101,8 @@ def read_picture(
         if stored.width * stored.height > MOST_PIXELS:
             raise _too_large(path, f"{stored.width} x {stored.height} px")
         try:
-            return _shown(stored, grey or GreyScale())
+            opaque = stored if transparent is None else _opaque(stored, transparent)
+            return _shown(opaque, grey or GreyScale())
         # What decoders raise on damaged files is no closed set.
         except Exception as error:
             raise _no_picture(path) from error
@@ -132,6 +137,15 @@ def focal_length_px(path: str | os.PathLike[str], *, tally: Tally | None = None)
             f"{focal_px:.0f} px"
         )
     return focal_px
+
+
+def _opaque(stored: Image.Image, behind: int) -> Image.Image:
+    """The picture before a grey wall, turned as it is shown."""
+    if "A" not in stored.getbands() and "transparency" not in stored.info:
+        return stored
+    coloured = ImageOps.exif_transpose(stored.convert("RGBA"))
+    wall = Image.new("RGBA", coloured.size, (behind, behind, behind, 255))
+    return Image.alpha_composite(wall, coloured)
 
 
 def _shown(stored: Image.Image, grey: GreyScale) -> NDArray[np.uint8]:
