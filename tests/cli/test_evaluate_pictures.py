@@ -334,6 +334,16 @@ WRONG = [
         spoilt(lambda c: c["images"][0].update(width=1280, height=720)),
         r"pier-0.png: has 640 x 360 px, and its labels are of a picture of 1280 x 720 px",
     ),
+    (
+        "a number without end",
+        spoilt(lambda c: c["annotations"][2].update(bbox=[10**400, 0, 5, 5])),
+        r"annotation 2: bbox is .*; expected x, y, width, height, px",
+    ),
+    (
+        "a width without end",
+        spoilt(lambda c: c["images"][2].update(width=10**400)),
+        r"width of .* is no whole number",
+    ),
     ("no id", spoilt(lambda c: c["images"][0].pop("id")), r"id of .* is no whole number"),
     ("no name", spoilt(lambda c: c["images"][0].pop("file_name")), r"file_name of .* is no text"),
     ("twice", spoilt(lambda c: c["images"][1].update(file_name="pier-0.png")), r"pier-0.png twice"),

@@ -92,6 +92,7 @@ REFUSED = [
     ({"type": "MultiPolygon", "coordinates": [WATER, swapped(POND)]}, "polygon 2: .* on the earth"),
     ({"type": "Polygon", "coordinates": [[[10.0, 54.0], [10.1, 54.0]]]}, "fewer than three"),
     ('{"type": "Polygon", "coordinates": [[[1e999, 0], [1, 1], [0, 1]]]}', "polygon 1: .*no long"),
+    ({"type": "Polygon", "coordinates": [[[10**400, 0]]]}, "polygon 1 has coordinates that are no"),
     ('{"type":"GeometryCollection","geometries":[' * 30 + "]}" * 30, "is no GeoJSON"),
 ]  # fmt: skip
 

@@ -69,6 +69,8 @@ def make_examples(folder: Path) -> None:
     _detectors(folder)
     _videos(folder)
     _pictures(folder)
+    _picture_labels(folder)
+    _areas(folder)
     _foreign(folder)
 
 
@@ -384,6 +386,43 @@ def _pictures(folder: Path) -> None:
             content = io.BytesIO()
             Image.fromarray(image).save(content, kind)
             (folder / f"picture-{i}.{ending}").write_bytes(content.getvalue())
+
+
+def _picture_labels(folder: Path) -> None:
+    """Labels of single pictures, with the names of their classes."""
+    (folder / "picture.txt").write_text(
+        "0 0.5 0.5 0.1 0.05\n1 0.25 0.6 0.05 0.1\n0 0.1 0.1 0.2 0.1 0.2 0.2 0.1 0.2\n"
+    )
+    (folder / "classes.txt").write_text("boat\nsailboat\n")
+    (folder / "data.yaml").write_text("path: here\nnames:\n  0: boat\n  1: sailboat\nnc: 2\n")
+    content = {
+        "images": [
+            {"id": i, "file_name": f"{i}.png", "width": 640, "height": 360} for i in range(3)
+        ],
+        "annotations": [
+            {"id": i, "image_id": i % 3, "category_id": 1 + i % 2, "bbox": [10.0 * i, 50, 30, 20]}
+            for i in range(8)
+        ],
+        "categories": [{"id": 1, "name": "boat"}, {"id": 2, "name": "sailboat"}],
+    }
+    (folder / "coco.json").write_text(json.dumps(content))
+
+
+def _areas(folder: Path) -> None:
+    """The water with an island, a pond beside it, and a mask."""
+    water = [[10.0, 54.0], [10.2, 54.0], [10.2, 54.1], [10.1, 54.15], [10.0, 54.1], [10.0, 54.0]]
+    island = [[10.05, 54.05], [10.1, 54.05], [10.1, 54.08], [10.05, 54.05]]
+    pond = [[10.3, 54.0], [10.4, 54.0], [10.35, 54.1], [10.3, 54.0]]
+    shapes = [
+        {"type": "Polygon", "coordinates": [water, island]},
+        {"type": "MultiPolygon", "coordinates": [[pond]]},
+    ]
+    features = [{"type": "Feature", "properties": {}, "geometry": shape} for shape in shapes]
+    content = {"type": "FeatureCollection", "features": features}
+    (folder / "water.geojson").write_text(json.dumps(content))
+    mask = np.full((FRAME_PX[1], FRAME_PX[0]), 255, dtype=np.uint8)
+    mask[:30] = 0
+    Image.fromarray(mask).save(folder / "mask.png")
 
 
 def _foreign(folder: Path) -> None:

@@ -24,10 +24,16 @@ from sightline.clock import presentation_clock
 from sightline.detection import DetectorOptions, detector_by_name
 from sightline.errors import InputError
 from sightline.formats.labels import empty_frames, read_labels
+from sightline.formats.picture_labels import (
+    read_class_names,
+    read_coco_labels,
+    read_yolo_labels,
+)
 from sightline.georeferencing.georeferencer import load_model
 from sightline.scene import Scene
 from sightline.tracks import Tracks
-from sightline.types import Frame
+from sightline.types import Boxes, Frame
+from sightline.video.mask import read_mask
 
 Read = Callable[[Path, Path], object]
 
@@ -100,6 +106,30 @@ def _points(path: Path, _: Path) -> None:
 
 def _labels(path: Path, _: Path) -> None:
     read_labels(path)
+
+
+def _area(path: Path, _: Path) -> None:
+    area = formats.read_area(path)
+    area.contains(np.linspace(-90.0, 90.0, 50), np.linspace(-180.0, 180.0, 50))
+
+
+def _mask(path: Path, _: Path) -> None:
+    mask = read_mask(path)
+    mask.hides(Boxes.of([[0.0, 0.0, 20.0, 10.0]]))
+
+
+def _yolo(path: Path, _: Path) -> None:
+    read_yolo_labels(path, ("boat", "sailboat")).in_pixels((640, 360))
+
+
+def _coco(path: Path, _: Path) -> None:
+    for labels in read_coco_labels(path).values():
+        assert labels.size_px is not None
+        labels.in_pixels(labels.size_px)
+
+
+def _class_names(path: Path, _: Path) -> None:
+    read_class_names(path)
 
 
 def _empty_frames(path: Path, _: Path) -> None:
@@ -269,6 +299,11 @@ READERS: tuple[Reader, ...] = (
     Reader("control points: OTVision", _points, ("points.otrfpts",), JSON),
     Reader("labels", _labels, ("labels.csv",), TABLE),
     Reader("labels: empty frames", _empty_frames, ("empty.csv",), TABLE, 1),
+    Reader("labels: YOLO", _yolo, ("picture.txt",), TABLE),
+    Reader("labels: COCO", _coco, ("coco.json",), JSON),
+    Reader("labels: names of classes", _class_names, ("data.yaml", "classes.txt"), TEXT, 1),
+    Reader("area", _area, ("water.geojson",), JSON, 3),
+    Reader("mask", _mask, ("mask.png",), PICTURE),
     Reader("scene", _scene, ("still/scene.toml", "aboard/scene.toml", "points.toml"), TOML, 5),
     Reader("model", _model, _MODELS, SAFETENSORS, 4),
     Reader("detector: ONNX", _detector, ("constant.onnx", "looks.onnx"), ONNX, 4),

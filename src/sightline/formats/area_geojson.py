@@ -48,7 +48,7 @@ def _polygons(path: str | os.PathLike[str]) -> list[Polygon]:
         number = len(found) + 1
         try:
             rings = tuple(_ring(ring) for ring in coordinates)
-        except (TypeError, ValueError, IndexError) as error:
+        except (TypeError, ValueError, IndexError, OverflowError) as error:
             raise InputError(
                 f"{path}: polygon {number} has coordinates that are no lists of longitude and "
                 "latitude"

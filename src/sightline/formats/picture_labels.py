@@ -24,6 +24,7 @@ _MOST_CLASSES = 10_000
 # Boxes are drawn to the edge of a picture and rounded beyond it.
 _BEYOND_PX = 2.0
 _SHOWN = 40
+_LARGEST = 2**53
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +280,7 @@ def _number(path: str | os.PathLike[str], row: Mapping[str, object], key: str) -
     # Some tools write all numbers with a point.
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    if not isinstance(value, int) or isinstance(value, bool):
+    if not isinstance(value, int) or isinstance(value, bool) or abs(value) > _LARGEST:
         raise InputError(f"{path}: {key} of {_shown(str(row))} is no whole number")
     return value
 
@@ -293,8 +294,10 @@ def _text(path: str | os.PathLike[str], row: Mapping[str, object], key: str) -> 
 
 def _corners_of_pixels(where: str, box: object, size_px: tuple[int, int]) -> list[float]:
     usable = isinstance(box, list) and len(box) == 4
-    values = [v for v in box if isinstance(v, int | float)] if isinstance(box, list) else []
-    if not usable or len(values) != 4 or not all(map(math.isfinite, values)):
+    numbers = [v for v in box if isinstance(v, int | float)] if isinstance(box, list) else []
+    # Neither what is not a number nor what is too large for one is less.
+    values = [v for v in numbers if abs(v) < _LARGEST]
+    if not usable or len(values) != 4:
         raise InputError(f"{where}: bbox is {_shown(repr(box))}; expected x, y, width, height, px")
     x, y, width, height = map(float, values)
     if not (width > 0.0 and height > 0.0):
