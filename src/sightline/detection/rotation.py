@@ -72,6 +72,7 @@ class TileRotation:
             frame_px: Its width and height.
         """
         self.tiles = tuple(tiles)
+        self.frame_px = frame_px
         self._scale = min(1.0, _WIDTH_PX / frame_px[0])
         self._small_px = (
             max(round(frame_px[0] * self._scale), 1),
