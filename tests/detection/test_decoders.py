@@ -95,6 +95,14 @@ def yolov5() -> Outputs:
     return {"output": f32(head)}
 
 
+def queries(classes: int) -> Outputs:
+    """Shares of the picture and scores, a row a query."""
+    rows = np.zeros((1, 300, 4 + classes))
+    rows[0, 17, :4] = np.r_[MIDDLE, SIZE] / SIDE
+    rows[0, 17, 4 + min(BOAT, classes - 1)] = SCORE
+    return {"output0": f32(rows)}
+
+
 def six_columns(number: int) -> Outputs:
     rows = np.zeros((1, 100, 6))
     rows[0, 3] = [*BOX, SCORE, number]
@@ -184,6 +192,13 @@ def own(decoder: str, **more: Any) -> dict[str, str]:
 
 
 NAMES = {"names": str({i: "boat" if i == BOAT else f"thing {i}" for i in range(80)})}
+RTDETR = {"description": "Ultralytics rtdetr-l model trained on boats", "task": "detect"}
+
+
+def names(*each: str) -> dict[str, str]:
+    return {"names": str(dict(enumerate(each)))}
+
+
 SIZES = {
     "images": (TensorProto.FLOAT, (1, 3, SIDE, SIDE)),
     "orig_target_sizes": (TensorProto.INT64, (1, 2)),
@@ -206,11 +221,29 @@ FAMILIES: dict[str, tuple[str, Outputs, dict[str, Any]]] = {
     "Ultralytics": ("yolov8", yolov8(), {}),
     "Ultralytics, names in the file": ("yolov8", yolov8(), {"metadata": NAMES}),
     "Ultralytics, end to end": ("yolo-end-to-end", six_columns(BOAT), {"metadata": NAMES}),
+    "YOLO11, YOLO12, their own classes": (
+        "yolov8",
+        {"output0": yolov8()["output0"][:, [0, 1, 2, 3, 4, 4 + BOAT]]},
+        {"metadata": names("buoy", "boat")},
+    ),
+    "YOLO11, YOLO12, one class": (
+        "yolov8",
+        {"output0": yolov8()["output0"][:, [0, 1, 2, 3, 4 + BOAT]]},
+        {"metadata": names("boat")},
+    ),
+    "RT-DETR of Ultralytics": ("rtdetr", queries(80), {"metadata": NAMES}),
+    "RT-DETR of Ultralytics, one class": ("rtdetr", queries(1), {"metadata": names("boat")}),
+    "RT-DETR of Ultralytics, two classes": (
+        "rtdetr",
+        queries(2),
+        {"metadata": {**names("buoy", "boat"), **RTDETR}},
+    ),
     "EfficientDet, chosen": ("efficientdet", six_columns(BOAT + 1), {}),
     "EfficientDet, in two": ("efficientdet", efficientdet_rows(), {}),
     "EfficientDet, maps": ("efficientdet", efficientdet_maps(), {}),
     "RT-DETR, D-FINE": ("detr", detr(), {"inputs": SIZES}),
     "RT-DETR's logits": ("detr-logits", logits(BOAT, 80, "pred_boxes", "logits"), {}),
+    "D-FINE's logits": ("detr-logits", logits(BOAT, 80, "pred_boxes", "logits"), {}),
     "RF-DETR": ("rf-detr", logits(BOAT + 1, 91, "dets", "labels"), {}),
     "DETR": ("detr-softmax", softmax(BOAT + 1), {}),
     "torchvision": ("torchvision", torchvision(BOAT + 1), {"shape": (3, SIDE, SIDE)}),

@@ -19,6 +19,7 @@ DECODERS = (
     "yolov4",
     "yolov3-tiny",
     "yolov4-tiny",
+    "rtdetr",
     "yolox",
     "yolov5",
     "yolov8",

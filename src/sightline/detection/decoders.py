@@ -23,6 +23,7 @@ _IMAGENET = InputFormat(mean=(0.485, 0.456, 0.406), std=(0.229, 0.224, 0.225))
 _YOLO_STRIDES = ((8, 16, 32), (8, 16, 32, 64))
 _DETR_WITH_NOTHING = 92
 _MOST_CLASSES = 100_000
+_QUERIES = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class Outputs:
         anchors: See `DetectorMetadata`.
         scale_xy: See `DetectorMetadata`.
         labelled: Whether the file names its classes itself, counted from 0.
+        description: What the file says of itself, for people.
     """
 
     names: tuple[str, ...]
@@ -44,6 +46,7 @@ class Outputs:
     anchors: tuple[tuple[tuple[float, float], ...], ...] | None = None
     scale_xy: tuple[float, ...] | None = None
     labelled: bool = False
+    description: str = ""
 
     @property
     def shapes(self) -> tuple[tuple[int, ...], ...]:
@@ -298,7 +301,27 @@ def _yolov5(outputs: Outputs) -> Scored:
 
 def _is_yolo_end_to_end(outputs: Outputs) -> bool:
     shape = _single(outputs)
-    return shape is not None and shape[1] == 6 and outputs.labelled
+    return shape is not None and shape[1] == 6 and outputs.labelled and not _says_rtdetr(outputs)
+
+
+def _says_rtdetr(outputs: Outputs) -> bool:
+    return "rtdetr" in outputs.description.lower().replace("-", "")
+
+
+def _is_rtdetr(outputs: Outputs) -> bool:
+    """Whether the outputs are queries with their scores, as Ultralytics writes RT-DETR.
+
+    Two classes make six columns, as boxes that were chosen have; only words tell these apart.
+    """
+    shape = _single(outputs)
+    if shape is None or not outputs.labelled or not shape[1] >= 5:
+        return False
+    return _says_rtdetr(outputs) or (shape[0] == _QUERIES and shape[1] != 6)
+
+
+def _rtdetr(outputs: Outputs) -> Scored:
+    (rows,) = (_float(array) for array in outputs.arrays)
+    return Scored(_normalised_boxes(outputs, rows[:, :4]), rows[:, 4:])
 
 
 def _yolo_end_to_end(outputs: Outputs) -> Scored:
@@ -501,6 +524,7 @@ _DECODERS = (
     Decoder("yolov4", lambda _: False, _with_anchors(YOLOV4_ANCHORS, (1.2, 1.1, 1.05))),
     Decoder("yolov3-tiny", lambda _: False, _with_anchors(_TINY_ANCHORS, (1.0, 1.0))),
     Decoder("yolov4-tiny", lambda _: False, _with_anchors(_TINY_ANCHORS, (1.05, 1.05))),
+    Decoder("rtdetr", _is_rtdetr, _rtdetr, several=False),
     Decoder("yolox", _is_yolox, _yolox, InputFormat(color="bgr", scale=1.0)),
     Decoder("yolov5", _is_yolov5, _yolov5, InputFormat(centred=True)),
     Decoder("yolov8", _is_yolov8, _yolov8, InputFormat(centred=True)),

@@ -165,6 +165,7 @@ class OnnxDetector:
             anchors=metadata.anchors if metadata else None,
             scale_xy=metadata.scale_xy if metadata else None,
             labelled=labels is not None,
+            description=properties.get("description", ""),
         )
         try:
             self._decoder: Decoder = decoder or decoder_for(blank)
