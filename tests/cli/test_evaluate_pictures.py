@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from cli.test_cli_detect import BOX, detector_file
+from sightline.scene.labelled_pictures import detect_pictures, labelled_pictures
+from sightline.types import Boxes, Frame
 
 Command = Callable[..., Any]
 
@@ -101,6 +103,28 @@ def test_low_boxes_are_neither_missed_nor_false(folder: Path, measure: Callable[
     told = measure(folder, "--least-height", "20.5")
     assert (told["drawn"], told["false_per_frame"]) == (0, 0.25)
     assert measure(folder, "--least-height", "19.5")["drawn"] == 4
+
+
+class Remembers:
+    """A detector that finds a box in the first picture that it is shown, and in no other."""
+
+    name = "first"
+
+    def __init__(self) -> None:
+        self.seen = 0
+
+    def reset(self) -> None:
+        self.seen = 0
+
+    def detect(self, frame: Frame) -> Boxes:
+        self.seen += 1
+        return Boxes.of([BOX] * (self.seen == 1), frame=frame.index, confidence=0.5)
+
+
+def test_pictures_have_nothing_to_do_with_one_another(folder: Path) -> None:
+    judged = detect_pictures(labelled_pictures(folder), Remembers(), ["0"])
+    assert [len(one.found_xyxy_px) for one in judged] == [1, 1, 1, 1]
+    assert [one.name for one in judged] == sorted(f"{name}.png" for name in LABELS)
 
 
 def test_labels_may_lie_beside_the_pictures_and_in_folders(

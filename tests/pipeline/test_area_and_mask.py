@@ -22,6 +22,7 @@ from sightline.labelling.expected import Expected
 from sightline.labelling.proposals import Proposals
 from sightline.labelling.sheets import contact_sheets
 from sightline.pipeline.check import check
+from sightline.pipeline.run import _track_each
 from sightline.pipeline.track import BOXES_OUTSIDE, TRACKS_OUTSIDE, TrackSettings
 from sightline.scene import Scene
 from sightline.scene.detections import SceneDetections
@@ -119,6 +120,50 @@ def test_what_lies_outside_of_the_area_is_left_out_and_counted(
     outside = where.known & ~((x > west) & (x < east) & (y > south) & (y < north))
     rows = np.ones(len(boxes), bool) if not ids else boxes.track_id > 0
     assert tally.left_out[BOXES_OUTSIDE].count == int((outside & rows).sum())
+
+
+class Listens:
+    """A tracker that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.given: list[Boxes] = []
+
+    def update(self, boxes: Boxes) -> Boxes:
+        self.given.append(boxes)
+        return boxes.with_columns(track_id=np.ones(len(boxes), dtype=np.int64))
+
+    def reset(self) -> None:
+        self.given = []
+
+
+def test_a_tracker_is_given_nothing_that_lies_outside(harbour: Path, model: Georeferencer) -> None:
+    boxes = Scene.load(harbour / "scene.toml")["01"].detections()
+    west, south, east, north = around_log(harbour)
+    listens = Listens()
+    settings = TrackSettings(area=box_around(west, south, east, north), tracker=listens)
+    sightline.track(boxes, model, settings=settings)
+    given = Boxes.concatenate([Boxes.of(one.xyxy_px) for one in listens.given])
+    where = model.locate(given.xyxy_px, source=str(boxes.source[0]))
+    x, y = where.longitude_deg[where.known], where.latitude_deg[where.known]
+    assert 0 < len(given) < len(boxes)
+    assert ((x > west) & (x < east) & (y > south) & (y < north)).all()
+
+
+def test_what_is_left_out_is_counted_once_where_a_recording_is_judged_by_another_model(
+    harbour: Path, model: Georeferencer
+) -> None:
+    without_drawn(harbour, "01")
+    scene = Scene.load(harbour / "scene.toml").select(["01"])
+    tally = Tally("x")
+    settings = TrackSettings(area=box_around(*around_log(harbour)), tally=tally)
+    again = sightline.load(harbour / "model.safetensors")
+    seen = SceneDetections(scene, None)
+    counts = []
+    for models in ({}, {"01": again}):
+        tally.left_out.clear()
+        _track_each(scene, scene, model, models, seen, settings, lambda _what, _share: None)
+        counts.append(tally.left_out[BOXES_OUTSIDE].count)
+    assert counts[0] == counts[1] > 0
 
 
 @pytest.mark.parametrize("tracker", [None, sightline.tracking.ImageTracker])
