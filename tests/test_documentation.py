@@ -169,9 +169,9 @@ def test_control_points_may_stand_in_a_file(tmp_path: Path) -> None:
     assert len(sightline.Scene.load(tmp_path / "scene.toml").control_points) == 1
 
 
-@pytest.mark.parametrize("table", ["camera", "recordings", "control_points"])
+@pytest.mark.parametrize("table", ["camera", "detection", "recordings", "control_points"])
 def test_all_keys_of_a_scene_are_documented(table: str, tmp_path: Path) -> None:
-    brackets = f"[{table}]" if table == "camera" else f"[[{table}]]"
+    brackets = f"[{table}]" if table in ("camera", "detection") else f"[[{table}]]"
     (tmp_path / "scene.toml").write_text(f"{brackets}\nno_such_key = 1\n", encoding="utf-8")
     with pytest.raises(sightline.InputError, match="known are") as error:
         sightline.Scene.load(tmp_path / "scene.toml")

@@ -17,6 +17,8 @@ import sightline
 import sightline.cli
 from sightline import formats
 from sightline.area import Area, Polygon
+from sightline.detection import DetectorOptions
+from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.expected import Expected
 from sightline.labelling.proposals import Proposals
@@ -354,6 +356,43 @@ def test_a_source_is_masked_as_well(filmed: Path, model: Georeferencer) -> None:
     assert len(detector.shown) == 5
     assert not any(is_red(image).any() for image in detector.shown)
     assert tally.left_out[MASKED].count == 5
+
+
+def test_a_scene_says_how_its_frames_are_looked_at(filmed: Path) -> None:
+    """One word, and the network that ships is shown more tiles of each frame."""
+    text = filmed.read_text()
+    plain = Scene.load(filmed)
+    assert plain.looking == DetectorOptions()
+    filmed.write_text(f'[detection]\nviews = "everywhere"\nenlarge = 2\n{text}')
+    scene = Scene.load(filmed)
+    made = SceneDetections(scene, "harbour")._made("harbour")
+    usual = SceneDetections(plain, "harbour")._made("harbour")
+    frame = next(plain["01"].frames())
+    assert max(tile.scale for tile in usual.views(frame)) == 1.0
+    assert max(tile.scale for tile in made.views(frame)) == 2.0
+    # What moves is found without a network, and so without tiles.
+    assert SceneDetections(scene, "motion")._made("motion").name == "motion"
+    over = DetectorOptions(enlarge=1.0, threshold=0.5).over(scene.looking)
+    assert (over.enlarge, over.threshold, over.views) == (1.0, 0.5, scene.looking.views)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('views = "all"', r"scene.toml: detection: unknown kind of views 'all'; known are strip"),
+        ("enlarge = 0.0", r"scene.toml: detection: views: enlarge is 0; it must be more than 0"),
+        ("budget_ms = -1.0", r"scene.toml: detection: budget is -1 ms; give the milliseconds"),
+        ("frame_width_px = 0", r"scene.toml: detection.frame_width_px: "),
+        ("tiles = 3", r"unknown key detection.tiles; known are views, enlarge"),
+    ],
+)
+def test_a_scene_that_looks_in_no_known_way_is_refused(
+    harbour: Path, line: str, message: str
+) -> None:
+    scene = harbour / "scene.toml"
+    scene.write_text(f"[detection]\n{line}\n{scene.read_text()}")
+    with pytest.raises(InputError, match=message):
+        Scene.load(scene)
 
 
 def test_a_check_describes_mask_and_area(filmed: Path) -> None:

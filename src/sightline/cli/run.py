@@ -40,6 +40,7 @@ from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.replacing import keep_others, kind_of_result
 
 if TYPE_CHECKING:
+    from sightline.detection import Detector
     from sightline.pipeline.run import RunResult
 
 
@@ -65,6 +66,7 @@ def run(
     keep_apart([json], [scene, detector])
     check_scene_is_there(scene)
     from sightline.detection import DetectorOptions
+    from sightline.detection.registry import takes_options
     from sightline.pipeline.check import check_scene
     from sightline.pipeline.run import run as run_scene
     from sightline.pipeline.sources import make_detector
@@ -87,7 +89,10 @@ def run(
     looking = detector_options(
         None, classes, threshold, None, views, enlarge=enlarge, budget=budget
     )
-    looks = detector if looking == DetectorOptions() else make_detector(detector, None, looking)
+    looks: str | Detector = detector
+    if looking != DetectorOptions() or (takes_options(detector) and loaded.looking.rotates):
+        over = looking.over(loaded.looking) if takes_options(detector) else looking
+        looks = make_detector(detector, None, over)
     with folder_for_results(output, inputs) as folder, progress() as tell:
         result = run_scene(
             loaded,

@@ -98,6 +98,19 @@ class DetectorOptions:
             raise InputError(f"tiles_per_frame is {self.tiles_per_frame}; give 1 or more")
         self.tiling(TilingSettings())
 
+    def over(self, usual: DetectorOptions) -> DetectorOptions:
+        """These, and of what they do not say how frames are looked at as others do.
+
+        Args:
+            usual: A scene's.
+        """
+        absent = {
+            name: getattr(usual, name)
+            for name in ("views", "enlarge", "frame_width_px", "budget_ms", "tiles_per_frame")
+            if getattr(self, name) is None
+        }
+        return replace(self, **absent)
+
     @property
     def rotates(self) -> bool:
         """Whether a part of the tiles is looked at in each frame."""

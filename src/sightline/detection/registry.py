@@ -32,6 +32,11 @@ def check_detector_name(name: str | Detector) -> None:
         raise unknown_name("detector", name, known)
 
 
+def takes_options(name: str | Detector) -> bool:
+    """Whether a detector is made of an ONNX file, and so takes `DetectorOptions`."""
+    return isinstance(name, str) and (name == "harbour" or name.lower().endswith(".onnx"))
+
+
 def detector_by_name(
     name: str | Detector,
     *,

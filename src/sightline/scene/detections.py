@@ -12,7 +12,7 @@ from sightline.camera.static_intervals import StaticIntervalMonitor
 from sightline.detection.detector import Detector
 from sightline.detection.metadata import LowerEdge
 from sightline.detection.onnx import OnnxDetector
-from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name
+from sightline.detection.registry import DEFAULT_DETECTOR, detector_by_name, takes_options
 from sightline.detection.run import FrameObserver, detect, observe, usable
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
@@ -115,6 +115,11 @@ class SceneDetections:
             self._stills[recording.name] = observer.picture()
         return self._stills[recording.name]
 
+    def _made(self, detector: str | Detector) -> Detector:
+        """The detector, which looks at frames as the scene says where somebody only names it."""
+        options = self._scene.looking if takes_options(detector) else None
+        return detector_by_name(detector, options=options)
+
     def _detect(self, recording: Recording) -> None:
         """Run the detector on a recording's frames, unless it has been."""
         assert recording.source is not None, "a recording has boxes, detections or pictures"
@@ -137,7 +142,7 @@ class SceneDetections:
         found = list(
             detect(
                 observe(frames, observers),
-                detector_by_name(self._detector),
+                self._made(self._detector),
                 frame_count(recording.source),
                 lambda _what, share: self._tell(f"detecting in {recording.name}", share),
             )

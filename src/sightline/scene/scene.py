@@ -20,12 +20,20 @@ from sightline.area import Area
 from sightline.camera.stated import PICTURE_FOCAL_SHARE, SLOTS, StatedCamera, stated_camera
 from sightline.clock import Clock, OffsetClock, presentation_clock
 from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
+from sightline.detection.onnx import DetectorOptions
+from sightline.detection.tiling import TilingSettings
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
 from sightline.plausibility import check_near, check_together
 from sightline.scene.hull import Hull
-from sightline.scene.schema import CameraTable, PointTable, RecordingTable, parse_scene_table
+from sightline.scene.schema import (
+    CameraTable,
+    DetectionTable,
+    PointTable,
+    RecordingTable,
+    parse_scene_table,
+)
 from sightline.tally import Tally
 from sightline.types import Boxes, ControlPoints, Fixes, Frame, Horizons, check_inside
 from sightline.video.mask import Mask, read_mask
@@ -357,12 +365,14 @@ class Scene:
         recordings: In the order of the file.
         control_points: Pixels whose place is known; may be none.
         path: The scene file.
+        looking: How a detector in an ONNX file looks at the frames, where nobody says otherwise.
     """
 
     camera: CameraSite
     recordings: tuple[Recording, ...]
     control_points: ControlPoints
     path: Path
+    looking: DetectorOptions = field(default_factory=DetectorOptions)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scene:
@@ -408,6 +418,7 @@ class Scene:
                 Path(path), base, table.control_points, camera.image_size_px
             ),
             path=Path(path),
+            looking=_looking(Path(path), table.detection),
         )
 
     @property
@@ -589,6 +600,18 @@ def named_files(path: str | os.PathLike[str]) -> tuple[list[Path], list[str]]:
         except InputError as error:
             missing.append(str(error))
     return list(there), missing
+
+
+def _looking(scene: Path, table: DetectionTable) -> DetectorOptions:
+    try:
+        return DetectorOptions(
+            views=None if table.views is None else TilingSettings(kind=table.views),
+            enlarge=table.enlarge,
+            frame_width_px=table.frame_width_px,
+            budget_ms=table.budget_ms,
+        )
+    except InputError as error:
+        raise InputError(f"{scene}: detection: {error}") from error
 
 
 def _area_files(camera: CameraTable) -> list[str]:

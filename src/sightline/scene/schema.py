@@ -132,6 +132,15 @@ class CameraTable(Table):
         return self
 
 
+class DetectionTable(Table):
+    """`[detection]`: how detectors look at the frames."""
+
+    views: str | None = None
+    enlarge: float | None = None
+    frame_width_px: Pixels | None = None
+    budget_ms: float | None = None
+
+
 class RecordingTable(Table):
     """One of `[[recordings]]`."""
 
@@ -234,6 +243,7 @@ class SceneTable(Table):
     """A whole scene file."""
 
     camera: CameraTable = CameraTable()
+    detection: DetectionTable = DetectionTable()
     recordings: list[RecordingTable] = []
     control_points: list[PointTable] | str = []
 
@@ -247,6 +257,7 @@ class SceneTable(Table):
 _TABLES: dict[str, type[Table]] = {
     "": SceneTable,
     "camera": CameraTable,
+    "detection": DetectionTable,
     "recordings": RecordingTable,
     "control_points": PointTable,
 }

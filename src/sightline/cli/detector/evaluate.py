@@ -220,14 +220,22 @@ class _Shown:
     least_height_px: float
     others_false: bool
 
-    def made(self) -> tuple[Detector, float]:
-        """The detector, made to tell of all that it sees, and the threshold that it has."""
+    def made(self, looking: DetectorOptions | None = None) -> tuple[Detector, float]:
+        """The detector, made to tell of all that it sees, and the threshold that it has.
+
+        Args:
+            looking: How the scene says that frames are looked at.
+        """
         from sightline.detection import OnnxDetector
+        from sightline.detection.registry import takes_options
         from sightline.georeferencing.georeferencer import load_model
         from sightline.pipeline.sources import make_detector
 
         fitted = load_model(self.model) if self.model is not None else None
-        found = make_detector(self.detector, fitted, self.options)
+        options = self.options
+        if looking is not None and takes_options(self.detector):
+            options = options.over(looking)
+        found = make_detector(self.detector, fitted, options)
         given = self.options.threshold
         usual = given if given is not None else 0.0
         if isinstance(found, OnnxDetector):
@@ -310,7 +318,7 @@ def _judge_scene(
         .widened(margins)
         for name, one in scene_labels(loaded, labels).items()
     }
-    found, usual = shown.made()
+    found, usual = shown.made(loaded.looking)
     return detect_labelled(loaded, known, found, tell), usual
 
 
