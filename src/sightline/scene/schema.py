@@ -243,9 +243,9 @@ class SceneTable(Table):
     """A whole scene file."""
 
     camera: CameraTable = CameraTable()
-    detection: DetectionTable = DetectionTable()
     recordings: list[RecordingTable] = []
     control_points: list[PointTable] | str = []
+    detection: DetectionTable = DetectionTable()
 
     @model_validator(mode="after")
     def _something_to_learn_from(self) -> Self:
