@@ -267,7 +267,8 @@ class YoloxDetector:
         self.class_names = tuple(class_names)
         self.score_threshold = score_threshold
         self.network = YoloxNetwork(len(self.class_names), width)
-        self.module: nn.Module = self.network
+        # Depthwise convolutions are far faster so.
+        self.module: nn.Module = self.network.to(memory_format=torch.channels_last)
 
     def losses(self, images: Tensor, targets: Sequence[Target]) -> dict[str, Tensor]:
         """Overlap of the boxes, and cross-entropies of something and of its kind."""
