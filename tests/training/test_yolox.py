@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-onnx = pytest.importorskip("onnx")
-onnxruntime = pytest.importorskip("onnxruntime")
-
-from sightline.detection import OnnxDetector
+from sightline.detection import OnnxDetector, _onnxruntime
 from sightline.detection.classes import COCO
 from sightline.errors import InputError
 from sightline.training import yolox
@@ -73,7 +70,7 @@ def check_same_as_runtime(path: Path, own: yolox.YoloxNetwork, width: int, heigh
     """What the network finds is what ONNX Runtime finds with the file, on the same noise."""
     rng = np.random.default_rng(0)
     picture = rng.uniform(0.0, 255.0, (1, 3, height, width)).astype(np.float32)
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = _onnxruntime.load().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     raw = session.run(None, {"images": picture})[0][0]
     with torch.no_grad():
         boxes, something, kinds, cells = own.eval()(torch.from_numpy(picture))

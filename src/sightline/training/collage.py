@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 import cv2
@@ -144,10 +145,10 @@ class CollageBatches:
     def _side_by_side(self, rng: np.random.Generator, boxes: _Boxes) -> Image:
         width, height = self._size
         image = np.full((height, width, 3), 114, np.uint8)
-        columns, rows = int(rng.integers(1, 5)), int(rng.integers(1, 5))
+        columns, rows = int(rng.integers(1, 7)), int(rng.integers(2, 7))
         x_cuts, y_cuts = _cuts(rng, width, columns), _cuts(rng, height, rows)
-        for x1, x2 in zip(x_cuts[:-1], x_cuts[1:], strict=True):
-            for y1, y2 in zip(y_cuts[:-1], y_cuts[1:], strict=True):
+        for x1, x2 in pairwise(x_cuts):
+            for y1, y2 in pairwise(y_cuts):
                 self._put(rng, image, boxes, (x1, y1, x2, y2))
         return image
 
@@ -192,7 +193,7 @@ class CollageBatches:
             return image, height * rng.uniform(0.3, 0.7)
         sources = backgrounds if backgrounds and rng.random() < 0.5 else self._material.photographs
         one = _one_of(rng, sources or backgrounds)
-        land, factor, _, _ = _filling(rng, one.image, self._size)
+        land, _, _, _ = _filling(rng, one.image, self._size)
         image = land.copy()
         waterline = height * float(rng.uniform(0.05, 0.85))
         row = round(waterline)
@@ -223,14 +224,14 @@ class CollageBatches:
         noise = rng.normal(0.0, 6.0, (size_px[1], size_px[0], 1))
         return (color + noise).clip(0.0, 255.0).astype(np.uint8)
 
-    def _lay(
-        self, rng: np.random.Generator, image: Image, boxes: _Boxes, waterline: float
-    ) -> None:
+    def _lay(self, rng: np.random.Generator, image: Image, boxes: _Boxes, waterline: float) -> None:
         """Boats, and what is cut out like boats and is none."""
-        width, height = self._size
+        if not self._material.cut_outs:
+            return
+        height = self._size[1]
         count = int(rng.integers(0, 4)) if rng.random() < 0.55 else int(rng.integers(4, 16))
         rows = np.sort(waterline + (height * 1.02 - waterline) * rng.random(count) ** 2.0)
-        typical = float(np.exp(rng.uniform(np.log(12.0), np.log(60.0))))
+        typical = float(np.exp(rng.uniform(np.log(10.0), np.log(50.0))))
         for row in rows:
             depth = (row - waterline) / max(height - waterline, 1.0)
             wide = typical * (0.6 + 1.6 * depth) * float(np.exp(rng.normal(0.0, 0.45)))
@@ -288,31 +289,15 @@ class CollageBatches:
         return np.ascontiguousarray(sprite.image[::-1])
 
 
-class Mixed:
-    """Batches from two sources, in turns."""
+def joined(*sources: BatchOf) -> BatchOf:
+    """Batches that hold those of several sources, of the same size, one after another."""
 
-    def __init__(self, first: BatchOf, second: BatchOf, share: float, seed: int) -> None:
-        """Mix.
+    def batch(number: int) -> tuple[Tensor, list[Target]]:
+        parts = [source(number) for source in sources]
+        targets = [target for _, own in parts for target in own]
+        return torch.cat([images for images, _ in parts]), targets
 
-        Args:
-            first: Of the scene.
-            second: Of made harbours.
-            share: Of the second.
-            seed: Of which batch is whose.
-        """
-        self._first, self._second = first, second
-        self._share, self._seed = share, seed
-
-    def __call__(self, number: int) -> tuple[Tensor, list[Target]]:
-        """Half of a batch may be of each: pictures of both, in their shares."""
-        scene, made = self._first(number), self._second(number)
-        count = len(scene[1])
-        rng = np.random.default_rng([self._seed, number, 17])
-        from_second = np.flatnonzero(rng.random(count) < self._share).tolist()
-        images, targets = scene[0].clone(), list(scene[1])
-        for i in from_second:
-            images[i], targets[i] = made[0][i], made[1][i]
-        return images, targets
+    return batch
 
 
 def _one_of(rng: np.random.Generator, items: Sequence[_Item]) -> _Item:
@@ -327,7 +312,7 @@ def _cuts(rng: np.random.Generator, length: int, parts: int) -> list[int]:
 def _filling(
     rng: np.random.Generator, picture: Image, size_px: tuple[int, int]
 ) -> tuple[Image, float, int, int]:
-    """A part of a picture that fills a window, its factor, and where it begins in the scaled one."""
+    """A part of a picture that fills a window, its factor, and where it begins, scaled."""
     width, height = size_px
     factor = max(width / picture.shape[1], height / picture.shape[0])
     factor *= float(np.exp(rng.uniform(0.0, 0.35)))

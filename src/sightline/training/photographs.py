@@ -81,7 +81,9 @@ def read_yolo_folder(
     """
     images, labels = folder / "images", folder / "labels"
     if not labels.is_dir():
-        raise InputError(f"{folder}: has no folder labels; expected images/NAME.jpg, labels/NAME.txt")
+        raise InputError(
+            f"{folder}: has no folder labels; expected images/NAME.jpg, labels/NAME.txt"
+        )
     position = {name: i for i, name in enumerate(wanted)} | {"ignore": IGNORED}
     found = []
     for path in _pictures(images):
@@ -110,7 +112,7 @@ def read_backgrounds(folder: Path) -> list[Photograph]:
     ]
 
 
-def digest(photographs: Sequence[Photograph]) -> dict[str, object]:
+def digest_photographs(photographs: Sequence[Photograph]) -> dict[str, object]:
     """How many photographs and boxes there are, and a hash of them all."""
     joined = hashlib.sha256()
     for one in photographs:
@@ -169,7 +171,9 @@ def _labels(
         if not (kind.is_integer() and 0 <= kind < classes):
             raise InputError(f"{where}: class {kind:g} has no name; there are {classes} names")
         shares = np.array([x, y, width, height])
-        if not (np.isfinite(shares).all() and (shares[2:] > 0.0).all() and (shares <= _MOST_SHARE).all()):
+        if not (
+            np.isfinite(shares).all() and (shares[2:] > 0.0).all() and (shares <= _MOST_SHARE).all()
+        ):
             raise InputError(f"{where}: expected shares of the picture from 0 to 1, got {line!r}")
         numbers.append(int(kind))
         low, high = shares[:2] - shares[2:] / 2.0, shares[:2] + shares[2:] / 2.0
