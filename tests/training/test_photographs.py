@@ -133,11 +133,10 @@ def test_what_is_no_boat_or_is_cut_off_is_not_cut_out(tmp_path: Path) -> None:
     assert cut_outs(other) == cut_outs(edge) == []
 
 
-def made(tmp_path: Path, **changes: Any) -> CollageBatches:
+def made(tmp_path: Path) -> CollageBatches:
     boats = read_yolo_folder(folder(tmp_path / "boats", line(0, AROUND), 3), CLASSES, ("boat",))
     material = Collage(boats, read_backgrounds(gray(tmp_path / "gray")), [], cut_outs(boats))
-    settings = {"size_px": (160, 128), "batch": 4, "seed": 1} | changes
-    return CollageBatches(material, PLAIN, **settings)
+    return CollageBatches(material, PLAIN, size_px=(160, 128), batch=4, seed=1)
 
 
 def test_boats_are_where_the_boxes_of_a_made_harbour_say(tmp_path: Path) -> None:

@@ -29,7 +29,8 @@ def random_network(classes: int, width: float = WIDTH) -> yolox.YoloxNetwork:
         for name, value in network.named_parameters():
             if name.endswith("bias"):
                 value.uniform_(-0.5, 0.5)
-    return network.eval()
+    network.eval()
+    return network
 
 
 class Published(torch.nn.Module):  # type: ignore[misc]

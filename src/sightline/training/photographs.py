@@ -222,13 +222,19 @@ def _cut_out(name: str, image: Image, box: FloatArray, label: int) -> Sprite | N
     margin = _MARGIN * (box[2:] - box[:2]).max()
     low = np.floor(np.maximum(box[:2] - margin, 0.0)).astype(int)
     high = np.ceil(np.minimum(box[2:] + margin, small.shape[1::-1])).astype(int)
-    part = np.ascontiguousarray(small[low[1] : high[1], low[0] : high[0]])
+    part = np.ascontiguousarray(small[low[1] : high[1], low[0] : high[0]], dtype=np.uint8)
     own = np.round(box - np.tile(low, 2)).astype(int)
     mask = _first_guess(part.shape[:2], own)
     try:
         cv2.setRNGSeed(0)
         cv2.grabCut(
-            part, mask, None, np.zeros((1, 65)), np.zeros((1, 65)), _ROUNDS, cv2.GC_INIT_WITH_MASK
+            part,
+            mask,
+            (0, 0, 1, 1),
+            np.zeros((1, 65)),
+            np.zeros((1, 65)),
+            _ROUNDS,
+            cv2.GC_INIT_WITH_MASK,
         )
     except cv2.error:
         # Nothing of the neighbourhood is in the picture.
@@ -243,7 +249,8 @@ def _cut_out(name: str, image: Image, box: FloatArray, label: int) -> Sprite | N
     fit = shared / (area + (tight[2:] - tight[:2]).prod() - shared)
     if fit < _LEAST_FIT or not _FILL_RANGE[0] <= solid.sum() / area <= _FILL_RANGE[1]:
         return None
-    opacity = np.asarray(cv2.GaussianBlur(solid.astype(np.float32), (0, 0), 0.7))
+    soft = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), 0.7)
+    opacity = np.asarray(soft, dtype=np.float32)
     return Sprite(name, part, opacity, tight, float(tight[3]), label)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import torch
@@ -409,7 +409,7 @@ def load_onnx_weights(network: YoloxNetwork, path: str | Path, class_names: Sequ
     if own_count != given_count:
         raise _other_network(path, f"it has {given_count} convolutions, not {own_count}")
     state: list[tuple[nn.Conv2d, Tensor, Tensor]] = []
-    kinds = {id(head.kind_output) for head in cast(Any, network.heads)}
+    kinds = {id(module) for name, module in network.named_modules() if name.endswith("kind_output")}
     for own, (weight, bias) in pairs:
         if id(own) in kinds and len(weight) == len(COCO):
             weight, bias = _class_rows(own, weight, bias, class_names)
