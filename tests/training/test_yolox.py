@@ -132,6 +132,23 @@ def test_a_width_of_nothing_is_refused() -> None:
         build("yolox-nano", CLASSES, width=0.0)
 
 
+def test_a_frozen_backbone_stays_as_it_is() -> None:
+    trainable = build("yolox-nano", CLASSES, width=WIDTH, frozen=True)
+    before = {name: value.clone() for name, value in trainable.module.state_dict().items()}
+    learned = [one for one in trainable.module.parameters() if one.requires_grad]
+    optimizer = torch.optim.SGD(learned, lr=0.1)
+    losses = trainable.losses(torch.rand(1, 3, 64, 64), [target((8.0, 8.0, 40.0, 30.0))])
+    sum(losses.values()).backward()
+    optimizer.step()
+    changed = {
+        name.split(".")[0]
+        for name, value in trainable.module.state_dict().items()
+        if not torch.equal(value, before[name])
+    }
+    assert "heads" in changed
+    assert not changed & {"stem", "stage4", "stage8", "stage16", "stage32"}
+
+
 def target(*boxes: tuple[float, ...], ignore: bool = False) -> Target:
     count = len(boxes)
     return Target(

@@ -29,7 +29,6 @@ _Item = TypeVar("_Item")
 
 BatchOf = Callable[[int], tuple[Tensor, list[Target]]]
 
-_SIDE_BY_SIDE = 0.35
 _WIDTHS_PX = (9.0, 110.0)
 _SMALLEST_PX = (5.0, 4.0)
 _LEAST_SHARE = 0.5
@@ -48,12 +47,14 @@ class Collage:
         backgrounds: Without anything that is looked for.
         scenes: Pictures of a scene without boats, red, green, blue.
         cut_outs: Boats.
+        side_by_side: How often photographs are put side by side instead of boats laid on water.
     """
 
     photographs: Sequence[Photograph]
     backgrounds: Sequence[Photograph]
     scenes: Sequence[Image]
     cut_outs: Sequence[Sprite]
+    side_by_side: float = 0.35
 
 
 class _Boxes:
@@ -112,7 +113,7 @@ class CollageBatches:
     def picture(self, rng: np.random.Generator) -> tuple[Tensor, Target]:
         """A picture, (3, H, W) uint8, and what is in it."""
         boxes = _Boxes()
-        if rng.random() < _SIDE_BY_SIDE and self._material.photographs:
+        if rng.random() < self._material.side_by_side and self._material.photographs:
             image = self._side_by_side(rng, boxes)
         else:
             image, waterline = self._scene(rng, boxes)

@@ -206,7 +206,10 @@ def train_detector(
         boats, others = _read_photographs(recipe)
         data |= {"pictures": digest_photographs(boats), "backgrounds": digest_photographs(others)}
         material = Collage(
-            boats, others, [one.image for one in backgrounds(train_pictures)], cut_outs(boats)
+            boats,
+            others,
+            [one.image for one in backgrounds(train_pictures)],
+            [*cut_outs(boats), *pasted],
         )
         batches = joined(batches, _made_batches(recipe, material, (size[0], size[1])))
     folder.mkdir(parents=True, exist_ok=True)

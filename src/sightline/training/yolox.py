@@ -45,6 +45,7 @@ def build(
     class_names: Sequence[str],
     *,
     weights: str = "",
+    frozen: bool = False,
     width: float = 0.25,
     score_threshold: float = 0.3,
 ) -> Trainable:
@@ -54,6 +55,7 @@ def build(
         name: ``"yolox-nano"``.
         class_names: What it is to tell apart.
         weights: An ONNX file of YOLOX-nano with COCO's classes to begin with; empty: random.
+        frozen: Whether the backbone stays as it is, so that what it tells apart is not forgotten.
         width: Factor for the number of channels.
         score_threshold: From where on an exported network's boxes count.
 
@@ -65,6 +67,8 @@ def build(
     made = YoloxDetector(name, class_names, width=width, score_threshold=score_threshold)
     if weights:
         load_onnx_weights(made.network, weights, class_names)
+    for part in made.network.backbone if frozen else ():
+        part.requires_grad_(False)
     return made
 
 
@@ -187,6 +191,11 @@ class YoloxNetwork(nn.Module):  # type: ignore[misc]
         self.down16 = _Separable(c16, c16, 2)
         self.out32 = _Partial(2 * c16, c32, 1, shortcut=False)
         self.heads = nn.ModuleList(_Head(c, c8, classes) for c in (c8, c16, c32))
+
+    @property
+    def backbone(self) -> tuple[nn.Module, ...]:
+        """What makes features of pictures, without what joins their scales."""
+        return self.stem, self.stage4, self.stage8, self.stage16, self.stage32
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Look at pictures.
