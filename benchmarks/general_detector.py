@@ -2,7 +2,8 @@
 
     python benchmarks/general_detector.py prepare BOATS YOLOX PHOTOS
     python benchmarks/general_detector.py train SCENE YOLOX PHOTOS BACKGROUNDS OUT [--minutes 38]
-        [--steps 2400] [--rate 0.0004] [--share 0.6] [--seed 1] [--initial FILE]
+        [--steps 2400] [--rate 0.0004] [--mean-decay 0.997] [--share 0.6] [--side-by-side 0.35]
+        [--bare 0.3] [--frozen] [--seed 1] [--initial FILE]
 
 BOATS is a folder of photographs of vessels with labels as YOLO has them, YOLOX the published
 `yolox_nano.onnx`, BACKGROUNDS a folder of pictures without boats. `prepare` parts the photographs
@@ -135,14 +136,17 @@ def train(arguments: argparse.Namespace) -> None:
         vanishing_row_px=vanishing_row_px(pictures),
         synthetic_share=SYNTHETIC_SHARE,
     )
-    bay = Batches([*pictures, *rendered], medians, sprites(pictures), plain, settings)
+    own = sprites(pictures)
+    bay = Batches([*pictures, *rendered], medians, own, plain, settings)
     material = Collage(
         boats,
         [one for i, one in enumerate(others) if i % 6],
         [one.image for one in medians],
-        cut_outs(boats),
+        [*cut_outs(boats), *own],
+        arguments.side_by_side,
+        arguments.bare,
     )
-    trainable = build("yolox-nano", CLASSES, weights=str(arguments.yolox))
+    trainable = build("yolox-nano", CLASSES, weights=str(arguments.yolox), frozen=arguments.frozen)
     if arguments.initial:
         load_weights(arguments.initial, trainable)
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -155,7 +159,7 @@ def train(arguments: argparse.Namespace) -> None:
             minutes=arguments.minutes,
             rate=arguments.rate,
             warmup=100,
-            mean_decay=0.997,
+            mean_decay=arguments.mean_decay,
             validate_every=300,
             checkpoint_every=50,
             seed=arguments.seed,
@@ -188,7 +192,11 @@ def main() -> None:
     second.add_argument("--minutes", type=float, default=38.0)
     second.add_argument("--steps", type=int, default=2400)
     second.add_argument("--rate", type=float, default=4e-4)
+    second.add_argument("--mean-decay", type=float, default=0.997)
     second.add_argument("--share", type=float, default=0.6)
+    second.add_argument("--side-by-side", type=float, default=0.35)
+    second.add_argument("--bare", type=float, default=0.3)
+    second.add_argument("--frozen", action="store_true")
     second.add_argument("--seed", type=int, default=1)
     second.add_argument("--initial", type=Path)
     second.set_defaults(run=train)

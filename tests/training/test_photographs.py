@@ -172,6 +172,31 @@ def test_made_harbours_are_small_boats_and_large(tmp_path: Path) -> None:
     assert sizes.max() > 60
 
 
+def test_bare_pictures_show_what_stands_around_boats_and_no_boat(tmp_path: Path) -> None:
+    path = folder(tmp_path / "boats", line(0, AROUND), 2)
+    for number in range(2):
+        # A house above and beside: green and blue, and much of it.
+        image = cv2.imread(str(path / "images" / f"{number}.png"))
+        assert image is not None
+        image[:40, ::2] = (200, 90, 20)
+        image[:, 200:] = image[:, 200:] // 3
+        image[::3, 200:] = (90, 220, 10)
+        cv2.imwrite(str(path / "images" / f"{number}.png"), image)
+    boats = read_yolo_folder(path, CLASSES, ("boat",))
+    nothing = read_yolo_folder(folder(tmp_path / "none", ""), CLASSES, ("boat",))
+    assert len(nothing[0].labels) == 0
+    material = Collage(boats, read_backgrounds(gray(tmp_path / "gray")), [], cut_outs(boats), 0, 1)
+    batches = CollageBatches(material, PLAIN, size_px=(160, 128), batch=4, seed=1)
+    colours = []
+    for number in range(8):
+        images, targets = batches(number)
+        assert all(len(target.labels) == 0 for target in targets)
+        colours.append((images[:, 0] - images[:, 2]).numpy())
+    # No red of the boats, and blue of what stood around them.
+    assert (np.array(colours) > 0.4).mean() < 1e-3
+    assert (np.array(colours) < -0.2).mean() > 0.05
+
+
 def test_a_batch_is_the_same_whenever_it_is_asked_for(tmp_path: Path) -> None:
     batches = made(tmp_path)
     first, again, other = batches(5), batches(5), batches(6)

@@ -32,6 +32,10 @@ BatchOf = Callable[[int], tuple[Tensor, list[Target]]]
 _WIDTHS_PX = (9.0, 110.0)
 _SMALLEST_PX = (5.0, 4.0)
 _LEAST_SHARE = 0.5
+_TRIES = 8
+_LEAST_CONTRAST = 20.0
+_APART_PX, _LEAST_PART_PX = 3, 40
+"""How far from all boats a part of a photograph is that counts as bare, and its least side."""
 _HIDDEN = 0.45
 """Share of a box that nearer boats may cover; what is covered more is neither right nor wrong."""
 _SOFT = 0.45
@@ -47,7 +51,8 @@ class Collage:
         backgrounds: Without anything that is looked for.
         scenes: Pictures of a scene without boats, red, green, blue.
         cut_outs: Boats.
-        side_by_side: How often photographs are put side by side instead of boats laid on water.
+        side_by_side: How often photographs are put side by side, of those pictures that have boats.
+        bare: How often a picture has no boat at all, but what stands around them.
     """
 
     photographs: Sequence[Photograph]
@@ -55,6 +60,7 @@ class Collage:
     scenes: Sequence[Image]
     cut_outs: Sequence[Sprite]
     side_by_side: float = 0.35
+    bare: float = 0.3
 
 
 class _Boxes:
@@ -113,7 +119,9 @@ class CollageBatches:
     def picture(self, rng: np.random.Generator) -> tuple[Tensor, Target]:
         """A picture, (3, H, W) uint8, and what is in it."""
         boxes = _Boxes()
-        if rng.random() < self._material.side_by_side and self._material.photographs:
+        if rng.random() < self._material.bare:
+            image = self._bare(rng)
+        elif rng.random() < self._material.side_by_side and self._material.photographs:
             image = self._side_by_side(rng, boxes)
         else:
             image, waterline = self._scene(rng, boxes)
@@ -152,6 +160,43 @@ class CollageBatches:
             for y1, y2 in pairwise(y_cuts):
                 self._put(rng, image, boxes, (x1, y1, x2, y2))
         return image
+
+    def _bare(self, rng: np.random.Generator) -> Image:
+        """What stands around boats, and what is far from any, side by side."""
+        width, height = self._size
+        image = np.empty((height, width, 3), np.uint8)
+        columns, rows = int(rng.integers(1, 4)), int(rng.integers(1, 5))
+        x_cuts, y_cuts = _cuts(rng, width, columns), _cuts(rng, height, rows)
+        for x1, x2 in pairwise(x_cuts):
+            for y1, y2 in pairwise(y_cuts):
+                part = self._around(rng)
+                scale = float(np.exp(rng.uniform(np.log(0.3), np.log(1.5))))
+                image[y1:y2, x1:x2] = _random_crop(rng, part, scale, (x2 - x1, y2 - y1))
+        return image
+
+    def _around(self, rng: np.random.Generator) -> Image:
+        """A picture without boats, or the part of one that is above or beside all of its boats."""
+        backgrounds, photographs = self._material.backgrounds, self._material.photographs
+        if backgrounds and rng.random() < 0.25:
+            return _one_of(rng, backgrounds).image
+        for _ in range(_TRIES):
+            one = _one_of(rng, photographs)
+            if not len(one.labels):
+                return one.image
+            low, high = one.boxes_xyxy_px[:, :2].min(axis=0), one.boxes_xyxy_px[:, 2:].max(axis=0)
+            left, top = (int(value) - _APART_PX for value in low)
+            right = int(high[0]) + _APART_PX
+            parts = [(slice(0, top), slice(None))] if top >= _LEAST_PART_PX else []
+            if left >= _LEAST_PART_PX:
+                parts.append((slice(None), slice(0, left)))
+            if one.size_px[0] - right >= _LEAST_PART_PX:
+                parts.append((slice(None), slice(right, None)))
+            if parts:
+                part = np.ascontiguousarray(one.image[_one_of(rng, parts)])
+                # Most of what is above boats is sky, in which there is little to learn.
+                if part[:, :, 1].std() > _LEAST_CONTRAST:
+                    return part
+        return self._water(rng, self._size)
 
     def _put(
         self,
