@@ -39,6 +39,7 @@ from sightline.training.loop import (
 CLASSES = ("boat", "sailboat")
 SMALL = {
     "harbour": {"width": 0.5},
+    "yolox-nano": {"width": 0.125},
     # A checkpoint of the large ones takes a gigabyte.
     "yolov3": {"cfg": "yolov3-tiny"},
     "yolov4": {"cfg": "yolov4-tiny"},

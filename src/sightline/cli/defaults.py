@@ -37,5 +37,12 @@ VIEWS = ("strip", "tiles", "whole", "everywhere")
 
 DEFAULT_IOU = 0.3
 DEFAULT_LABEL = "boat"
-ARCHITECTURES = ("yolov3", "yolov4", "efficientdet-d0", "faster-rcnn", "harbour")
+ARCHITECTURES = (
+    "yolov3",
+    "yolov4",
+    "efficientdet-d0",
+    "faster-rcnn",
+    "harbour",
+    "yolox-nano",
+)
 PUBLISHED = ("yolov3", "yolov3-tiny", "yolov4", "yolov4-tiny")

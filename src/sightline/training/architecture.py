@@ -14,7 +14,7 @@ from sightline.errors import unknown_name
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-ARCHITECTURES = ("yolov3", "yolov4", "efficientdet-d0", "faster-rcnn", "harbour")
+ARCHITECTURES = ("yolov3", "yolov4", "efficientdet-d0", "faster-rcnn", "harbour", "yolox-nano")
 """What `build` knows."""
 
 _MODULES = {
@@ -23,6 +23,7 @@ _MODULES = {
     "efficientdet-d0": "sightline.training.efficientdet",
     "faster-rcnn": "sightline.training.faster_rcnn",
     "harbour": "sightline.training.harbour",
+    "yolox-nano": "sightline.training.yolox",
 }
 """Where each family lives. Such a module has ``build(name, class_names, **options)``."""
 

@@ -14,8 +14,11 @@ from sightline.errors import InputError
 from sightline.scene import Scene
 from sightline.training.architecture import build
 from sightline.training.augmentation import Augmentation, Batches, BatchSettings
+from sightline.training.collage import BatchOf, Collage, CollageBatches, joined
 from sightline.training.data import (
     Labels,
+    Picture,
+    Sprite,
     backgrounds,
     check_folders,
     check_split,
@@ -33,8 +36,44 @@ from sightline.training.loop import (
     load_weights,
     train,
 )
+from sightline.training.photographs import (
+    Photograph,
+    cut_outs,
+    digest_photographs,
+    read_backgrounds,
+    read_yolo_folder,
+)
 
 Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Photographs:
+    """Folders of photographs that a detector learns from besides a scene.
+
+    Attributes:
+        pictures: Folders with ``images`` and ``labels`` as YOLO has them; boats in them are cut
+            out, and laid on harbours that are made of all the others.
+        class_names: Of the folders' labels, by number. Those of the recipe's own names are to be
+            found, of ``ignore`` nothing is said, all others are to be told from them.
+        backgrounds: Folders of pictures without anything that is to be found.
+        share: Of each batch that is made of photographs.
+    """
+
+    pictures: tuple[Path, ...] = ()
+    class_names: tuple[str, ...] = ("boat", "sailboat")
+    backgrounds: tuple[Path, ...] = ()
+    share: float = 0.6
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.share < 1.0:
+            raise InputError(
+                f"a share of {self.share:g} of photographs cannot be; give one between 0 and 1"
+            )
+        if self.backgrounds and not self.pictures:
+            raise InputError(
+                "backgrounds are for boats to be laid on; name a folder of pictures with boats too"
+            )
 
 
 @dataclass(frozen=True)
@@ -53,6 +92,7 @@ class Recipe:
         training: The loop's settings.
         options: Of the architecture.
         initial: Weights to begin with, as an earlier training wrote them.
+        photographs: Folders of photographs to learn from besides.
     """
 
     architecture: str
@@ -66,6 +106,7 @@ class Recipe:
     training: TrainingSettings = field(default_factory=TrainingSettings)
     options: Mapping[str, object] = field(default_factory=dict)
     initial: Path | None = None
+    photographs: Photographs = field(default_factory=Photographs)
 
     def __post_init__(self) -> None:
         both = sorted(set(self.train) & set(self.validation))
@@ -76,8 +117,18 @@ class Recipe:
             )
         if self.batch < 1 or min(self.size_px) < 32:
             raise InputError("a batch needs a crop or more, and crops 32 px or more a side")
+        if self.photographs.pictures and not 0 < self.from_photographs < self.batch:
+            raise InputError(
+                f"of a batch of {self.batch}, a share of {self.photographs.share:g} of photographs "
+                "leaves one of both without any; take a larger batch, or another share"
+            )
         if self.synthetic < 0:
             raise InputError(f"{self.synthetic} synthetic pictures cannot be rendered")
+
+    @property
+    def from_photographs(self) -> int:
+        """How many pictures of a batch are made of photographs."""
+        return round(self.photographs.share * self.batch) if self.photographs.pictures else 0
 
 
 @dataclass(frozen=True)
@@ -150,18 +201,17 @@ def train_detector(
         "train": digest([*train_pictures, *rendered]),
         "validation": digest(validation),
     }
-    batches = Batches(
-        [*train_pictures, *rendered],
-        backgrounds(train_pictures) if recipe.augmentation.paste else [],
-        pasted,
-        recipe.augmentation,
-        BatchSettings(
-            size_px=(size[0], size[1]),
-            batch=recipe.batch,
-            seed=recipe.training.seed,
-            vanishing_row_px=vanishing_row_px(train_pictures),
-        ),
-    )
+    batches = _scene_batches(recipe, train_pictures, rendered, pasted, (size[0], size[1]))
+    if recipe.photographs.pictures:
+        boats, others = _read_photographs(recipe)
+        data |= {"pictures": digest_photographs(boats), "backgrounds": digest_photographs(others)}
+        material = Collage(
+            boats,
+            others,
+            [one.image for one in backgrounds(train_pictures)],
+            [*cut_outs(boats), *pasted],
+        )
+        batches = joined(batches, _made_batches(recipe, material, (size[0], size[1])))
     folder.mkdir(parents=True, exist_ok=True)
     configuration = {
         "scene": scene.path.name,
@@ -174,6 +224,7 @@ def train_detector(
         "augmentation": recipe.augmentation.to_dict(),
         "options": dict(recipe.options),
         "initial": None if recipe.initial is None else _sha256(recipe.initial),
+        **_of_photographs(recipe),
     }
     result = train(
         trainable, batches, validation, recipe.training, folder, configuration, progress=progress
@@ -185,7 +236,7 @@ def train_detector(
         path,
         size_px=(size[0], size[1]),
         about={
-            "trained_on": _listed(recipe.train, scene, recipe.synthetic),
+            "trained_on": _listed(recipe.train, scene, recipe),
             "steps": result.best_step,
         },
         pictures=[picture.image for picture in train_pictures[:: -(-len(train_pictures) // 4)]],
@@ -199,6 +250,54 @@ def train_detector(
     )
 
 
+def _scene_batches(
+    recipe: Recipe,
+    pictures: Sequence[Picture],
+    rendered: Sequence[Picture],
+    pasted: Sequence[Sprite],
+    size_px: tuple[int, int],
+) -> BatchOf:
+    return Batches(
+        [*pictures, *rendered],
+        backgrounds(pictures) if recipe.augmentation.paste else [],
+        pasted,
+        recipe.augmentation,
+        BatchSettings(
+            size_px=size_px,
+            batch=recipe.batch - recipe.from_photographs,
+            seed=recipe.training.seed,
+            vanishing_row_px=vanishing_row_px(pictures),
+        ),
+    )
+
+
+def _read_photographs(recipe: Recipe) -> tuple[list[Photograph], list[Photograph]]:
+    given, wanted = recipe.photographs, recipe.labels.class_names
+    boats = [
+        one
+        for folder in given.pictures
+        for one in read_yolo_folder(folder, given.class_names, wanted)
+    ]
+    return boats, [one for folder in given.backgrounds for one in read_backgrounds(folder)]
+
+
+def _made_batches(recipe: Recipe, material: Collage, size_px: tuple[int, int]) -> BatchOf:
+    return CollageBatches(
+        material,
+        recipe.augmentation,
+        size_px=size_px,
+        batch=recipe.from_photographs,
+        seed=recipe.training.seed,
+    )
+
+
+def _of_photographs(recipe: Recipe) -> dict[str, object]:
+    """What a result depends on; nothing without photographs, as before there were any."""
+    if not recipe.photographs.pictures:
+        return {}
+    return {"made": {"share": recipe.photographs.share}}
+
+
 def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
@@ -207,6 +306,7 @@ def _silent(_what: str, _share: float) -> None:
     return
 
 
-def _listed(names: Sequence[str], scene: Scene, synthetic: int) -> str:
-    rendered = f" and {synthetic} rendered pictures" if synthetic else ""
-    return f"{scene.camera.name} {' '.join(names)}{rendered}"
+def _listed(names: Sequence[str], scene: Scene, recipe: Recipe) -> str:
+    rendered = f" and {recipe.synthetic} rendered pictures" if recipe.synthetic else ""
+    photographs = " and photographs" if recipe.photographs.pictures else ""
+    return f"{scene.camera.name} {' '.join(names)}{rendered}{photographs}"

@@ -80,6 +80,34 @@ def train(
     synthetic: Annotated[
         int, typer.Option(help="Pictures of the synthetic harbour to learn from as well.")
     ] = 0,
+    pictures: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Photographs to learn from as well, images/NAME.jpg with labels/NAME.txt as YOLO "
+            "has them: boats in them are cut out and laid, small, on made harbours. May be given "
+            "several times.",
+        ),
+    ] = None,
+    picture_classes: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES",
+            help="Of the labels of --pictures, by number. Those of --classes are to be found, of "
+            "ignore nothing is said, the others are to be told from them. Empty: as --classes.",
+        ),
+    ] = "",
+    background: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Pictures without any boat, of which made harbours are made with --pictures. May "
+            "be given several times.",
+        ),
+    ] = None,
+    picture_share: Annotated[
+        float, typer.Option(help="Share of each batch that is made of --pictures.")
+    ] = 0.6,
     steps: Annotated[int, typer.Option(help="Batches to learn from.")] = 6000,
     minutes: Annotated[
         float,
@@ -131,7 +159,7 @@ def train(
     from sightline.training.augmentation import Augmentation
     from sightline.training.data import Labels, parse_margins
     from sightline.training.loop import TrainingSettings
-    from sightline.training.recipe import Recipe, train_detector
+    from sightline.training.recipe import Photographs, Recipe, train_detector
 
     keep_apart([json], [scene])
     loaded = Scene.load(scene)
@@ -141,12 +169,13 @@ def train(
     for_training = parse_names(train) or tuple(
         one.name for one in loaded.recordings if one.name not in for_validation
     )
+    taught = parse_distinct_names("--classes", classes)
     recipe = Recipe(
         architecture=arch,
         train=for_training,
         validation=for_validation,
         labels=Labels(
-            class_names=parse_distinct_names("--classes", classes),
+            class_names=taught,
             folders=tuple(labels or []),
             others=others,
             margins=parse_margins(margin or []),
@@ -178,6 +207,16 @@ def train(
         ),
         options=parse_architecture_options(option or []),
         initial=initial,
+        photographs=Photographs(
+            pictures=tuple(pictures or []),
+            class_names=(
+                parse_distinct_names("--picture-classes", picture_classes)
+                if picture_classes
+                else taught
+            ),
+            backgrounds=tuple(background or []),
+            share=picture_share,
+        ),
     )
     with progress() as tell:
         made = train_detector(loaded, recipe, output, progress=tell)
