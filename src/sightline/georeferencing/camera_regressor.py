@@ -550,9 +550,10 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             )
 
         self.range_process_, self.bearing_process_ = learn(0), learn(1)
-        # A process that places what was left out worse, by more than chance, is none.
+        # A process that places what was left out worse, by more than chance, is none; nor is one
+        # that describes single passages: what a camera leaves varies slowly from place to place.
         gain, error = self.range_process_.gain()
-        if gain < -error:
+        if gain < -error or self.range_process_.too_rough:
             self.range_process_ = self.bearing_process_ = None
 
     def with_fit(self, fit: CameraFit) -> Self:
