@@ -87,7 +87,8 @@ class CameraFit:
             the same data under other priors are compared; NaN where it is not known.
         left_out_m: Root mean square error of the places of targets that were left out, metres; 0
             where there was but one.
-        targets: How many targets told the noise; 0 where it was taken as known.
+        targets: How many targets told the noise; 0 where it was taken as known, or where there was
+            but one: what a passage has in common is then what was believed before.
     """
 
     vector: FloatArray
@@ -264,7 +265,8 @@ def fit_camera(
     fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
     if noise is None:
         logs = problem.sightings.log[problem.boxes]
-        fit = replace(fit, targets=int(np.unique(logs).size))
+        count = int(np.unique(logs).size)
+        fit = replace(fit, targets=count if count > 1 else 0)
     return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 
