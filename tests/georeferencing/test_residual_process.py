@@ -214,3 +214,18 @@ def test_fewer_recordings_say_less_of_another(count: int, widened: float) -> Non
     )
     _, variance = process.predict(np.full((1, 2), 1e3), np.zeros(1))
     assert variance[0] == pytest.approx(H.amplitude**2 + widened * H.recording**2, rel=1e-12)
+
+
+@pytest.mark.parametrize(("lengths", "rough"), [(1.0, False), (0.12, True)])
+def test_what_wiggles_from_boat_to_boat_is_no_residual_of_the_camera(
+    lengths: float, rough: bool
+) -> None:
+    rng = np.random.default_rng(8)
+    inputs = rng.uniform(-2.0, 2.0, (250, 2))
+    scaled = inputs / (lengths * np.array(SCALES))
+    smooth = np.exp(-0.5 * ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2))
+    targets = rng.multivariate_normal(np.zeros(250), 0.1**2 * smooth + 0.01**2 * np.eye(250))
+    process = ResidualProcess(
+        inputs, targets, np.full(250, 0.01), np.arange(250) % 50, length_scales=SCALES
+    )
+    assert process.too_rough is rough

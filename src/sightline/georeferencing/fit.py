@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
@@ -122,7 +123,12 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
         InputError: The model's name is not known.
         FitError: There are too few pairs, all in one place, or no camera explains them.
     """
-    settings = settings or FitSettings()
+    # Matrices are small: threads would wait for each other, and the last digits depend on them.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _fit(inputs, settings or FitSettings())
+
+
+def _fit(inputs: FitInputs, settings: FitSettings) -> Georeferencer:
     kind = model_type(settings.model)
     usual = settings.prior or CameraPrior()
     if inputs.stated.keys:

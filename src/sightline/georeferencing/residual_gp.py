@@ -32,6 +32,10 @@ _FEWEST_FOLDS = 4
 # So that a block of the kernel stays in the cache.
 _KERNEL_SIZE = 131072
 _BLOCK = 64
+# Of the logarithm of a length scale, before any data.
+_LENGTH_SPREAD = 0.5
+# So many times that shorter than expected is no smooth process any more.
+_ROUGH = 3.0
 # By how much the variance of a new recording's offset is raised at most for want of recordings.
 _MOST_WIDENED = 3.0
 # Share of the process's variance that predictions may miss of what the training points explain.
@@ -155,6 +159,12 @@ class ResidualProcess:
         variance = np.maximum(h.amplitude**2 - explained, 0.0)
         return mean, variance + self._of_new_recording + (h.noise * noise) ** 2
 
+    @property
+    def too_rough(self) -> bool:
+        """Whether it varies over far shorter lengths than what a camera leaves does."""
+        shorter = np.log(self.length_scales) - np.log(self.hyperparameters.length_scales)
+        return bool(shorter.max() > _ROUGH * _LENGTH_SPREAD)
+
     def gain(self) -> tuple[float, float]:
         """By how much the process places what was left out better, and how sure that is.
 
@@ -227,7 +237,7 @@ class ResidualProcess:
         chosen = _thin(len(self.targets), _MOST_FOR_LEARNING)
         typical = float(np.sqrt(np.mean(self.noise[chosen] ** 2)))
         centre = Hyperparameters(0.7 * typical, self.length_scales, 0.5 * typical, 1.0).to_log()
-        width = np.array([0.7, *([0.5] * len(self.length_scales)), 0.7, 0.5])
+        width = np.array([0.7, *([_LENGTH_SPREAD] * len(self.length_scales)), 0.7, 0.5])
         likelihood = LogLikelihood(
             self.inputs[chosen],
             self.targets[chosen],
