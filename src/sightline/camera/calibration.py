@@ -44,10 +44,6 @@ _WIDE = 20.0
 _KNOWN_AT = 0.7
 # Of a logarithm: a height of which less is known than a factor of two is open.
 _HEIGHT_SIGMA = 0.7
-# What is known of noise before any data counts as much as one target.
-_WORTH_TARGETS = 1.0
-# Of the ellipses that are stated: those of 95 %.
-_OUTSIDE = 0.05
 # Clocks that are further off than this are not what people call right.
 _RIGHT_S = 1.5
 # Ends as near as this to one another, as a share of a prior's width, are one.
@@ -87,8 +83,6 @@ class CameraFit:
             the same data under other priors are compared; NaN where it is not known.
         left_out_m: Root mean square error of the places of targets that were left out, metres; 0
             where there was but one.
-        targets: How many targets told the noise; 0 where it was taken as known, or where there was
-            but one: what a passage has in common is then what was believed before.
     """
 
     vector: FloatArray
@@ -107,20 +101,6 @@ class CameraFit:
     sizes: TargetSizes | None = None
     negative_log_evidence: float = float("nan")
     left_out_m: float = 0.0
-    targets: int = 0
-
-    @property
-    def student(self) -> float:
-        """By how much variances grow for the noise being estimated from a few targets.
-
-        What lasts for a whole passage shows once a passage. So errors are Student's, and 95 % of
-        them in two dimensions are within the quantile of an F distribution, here in closed form.
-        """
-        if not self.targets:
-            return 1.0
-        freedom = self.targets + _WORTH_TARGETS
-        quantile = freedom * (_OUTSIDE ** (-2.0 / freedom) - 1.0)
-        return float(quantile / (-2.0 * np.log(_OUTSIDE)))
 
     @property
     def layout(self) -> ParameterLayout:
@@ -263,10 +243,6 @@ def fit_camera(
         if end is not None:
             ends.append(end.vector)
     fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
-    if noise is None:
-        logs = problem.sightings.log[problem.boxes]
-        count = int(np.unique(logs).size)
-        fit = replace(fit, targets=count if count > 1 else 0)
     return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 

@@ -359,8 +359,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         shift = (root @ by[:BY_COLUMN].reshape(BY_COLUMN, -1)).reshape(len(root), 2, -1)
         shift[:, 0] += of_target @ hull.shares
         moved = np.einsum("kin,kin->in", shift, shift)
-        skewed = (self.fit_.student - 1.0) * moved
-        skewed[0] += _ranges_variance(moved[0], at.distance_m) - moved[0]
+        skewed = _ranges_variance(moved[0], at.distance_m) - moved[0]
         if self.above_sigma_m > 0.0:
             moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
         slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
@@ -433,7 +432,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             limit = (LARGEST_RELATIVE_SIGMA * reach) ** 2
             known = seen.moved[0] + seen.noise[0] < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
-        along, across = seen.moved + seen.skewed + self.clock_variance
+        along, across = seen.moved + self.clock_variance
+        along += seen.skewed
         mixed = seen.moved_mixed
         if self.range_process_ is None or self.bearing_process_ is None:
             own_along, own_across = seen.noise
@@ -441,14 +441,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             across += own_across
             mixed = mixed + seen.noise_mixed
             alike_mixed = seen.lasting_mixed
-            more = self.fit_.student - 1.0
-            along += more * seen.lasting[0]
-            across += more * seen.lasting[1]
-            mixed = mixed + more * (seen.moved_mixed + seen.lasting_mixed)
-            alike_mixed = alike_mixed + more * (seen.moved_mixed + seen.lasting_mixed)
         else:
-            alike_mixed = (self.fit_.student - 1.0) * seen.moved_mixed
-            mixed = mixed + alike_mixed
+            alike_mixed = np.zeros_like(mixed)
             rows = slice(None) if known.all() else known
             near = seen[rows]
             inputs = self._inputs(boxes[rows], near, source)
@@ -594,7 +588,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "starts_agreeing": fit.starts_agreeing,
             "starts": fit.starts,
             "typical_range_m": fit.typical_range_m,
-            "targets": fit.targets,
             "typical_speed_mps": self.typical_speed_mps_,
             "sizes": None
             if fit.sizes is None
@@ -676,7 +669,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             starts_agreeing=int(settings["starts_agreeing"]),
             starts=int(settings["starts"]),
             typical_range_m=float(settings["typical_range_m"]),
-            targets=int(settings.get("targets", 0)),
             sizes=sizes,
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
@@ -772,7 +764,7 @@ class _Seen:
         sine: (N,) of the bearing.
         cosine: (N,) of the bearing.
         moved: (2, N) variance along and across the line of sight that the parameters make.
-        skewed: (2, N) by how much both vary more than Gaussian errors of a linear camera do.
+        skewed: (N,) by how much a range that is multiplied by its error varies more than that.
         moved_mixed: (N,) the covariance of the two.
         noise: (2, N) variance along and across that the box's noise makes.
         noise_mixed: (N,) the covariance of the two.

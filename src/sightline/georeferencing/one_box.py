@@ -85,9 +85,7 @@ def place_one(
     shift = root @ by[:BY_COLUMN]
     shift[:, 0] += of_target @ (length, beam)
     (along, mixed), (_, across) = (shift.T @ shift).tolist()
-    more = model.fit_.student - 1.0
-    skewed = ranges_variance(along, distance) - along + more * along
-    across_m2 = across + more * across
+    skewed = ranges_variance(along, distance) - along
     along += (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
     slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
@@ -108,17 +106,13 @@ def place_one(
     if not along + own_along < largest_sigma(distance) ** 2:
         return None
     along += skewed + model.clock_variance
-    across = across_m2 + model.clock_variance
-    mixed += more * mixed
+    across += model.clock_variance
     # Of the box's noise, the part that a moment later is the same.
     alike_along, alike_across = last_along / own_along, last_across / own_across
     own_mixed = 0.0
     if model.range_process_ is None or model.bearing_process_ is None:
         own_mixed = of_column * column_along * column_across + of_row * row_along * row_across
         own_mixed += last_mixed
-        along += more * last_along
-        across += more * last_across
-        mixed += more * last_mixed
     else:
         last_mixed = 0.0
         heading = math.radians(camera.heading_deg)
