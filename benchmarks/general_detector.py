@@ -1,4 +1,4 @@
-"""How the detector that ships was trained: published weights, photographs of boats, and one bay.
+"""Train a detector for any harbour: published weights, photographs of boats, and one bay.
 
     python benchmarks/general_detector.py prepare BOATS YOLOX PHOTOS
     python benchmarks/general_detector.py train SCENE YOLOX PHOTOS BACKGROUNDS OUT [--minutes 38]
@@ -23,6 +23,7 @@ import cv2
 import numpy as np
 
 from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings
+from sightline.overlap import shared_area
 from sightline.scene import Scene
 from sightline.types import Frame
 
@@ -58,10 +59,8 @@ def prepare(arguments: argparse.Namespace) -> None:
         drawn = np.hstack([shares[:, :2] - half, shares[:, :2] + half]) * size
         detector.reset()
         for box in detector.detect(Frame(0, 0.0, image)).xyxy_px.clip(0.0, size):
-            low, high = np.maximum(drawn[:, :2], box[:2]), np.minimum(drawn[:, 2:], box[2:])
-            shared = np.maximum(high - low, 0.0).prod(axis=1)
             area = (box[2:] - box[:2]).prod()
-            if (shared < 0.5 * area).all() and area < 0.25 * size[0] * size[1]:
+            if (shared_area(drawn, box) < 0.5 * area).all() and area < 0.25 * size[0] * size[1]:
                 low, high = box[:2] / size[:2], box[2:] / size[:2]
                 values = (*(0.5 * (low + high)), *(high - low))
                 lines.append(" ".join(["3", *(f"{value:.5f}" for value in values)]))

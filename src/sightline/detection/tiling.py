@@ -16,6 +16,7 @@ import numpy as np
 
 from sightline.detection.letterbox import Letterbox
 from sightline.errors import InputError, unknown_name
+from sightline.overlap import shared_area
 from sightline.types import BoolArray, FloatArray, IntArray
 
 Horizon = tuple[float, float]
@@ -300,22 +301,15 @@ def merge(
     whole = np.flatnonzero(~cut)
     for i in np.flatnonzero(cut):
         others = whole[(view[whole] != view[i]) & (label[whole] == label[i])]
-        stays[i] = not (_shared(xyxy_px[i], xyxy_px[others]) >= _SAME * area[i]).any()
+        stays[i] = not (shared_area(xyxy_px[i], xyxy_px[others]) >= _SAME * area[i]).any()
     order = np.argsort(-score, kind="stable")
     for rank, i in enumerate(order):
         if stays[i]:
             later = order[rank + 1 :]
             later = later[(view[later] != view[i]) & (label[later] == label[i])]
-            shared = _shared(xyxy_px[i], xyxy_px[later])
+            shared = shared_area(xyxy_px[i], xyxy_px[later])
             stays[later[shared >= _OVERLAP * (area[i] + area[later] - shared)]] = False
     return stays
-
-
-def _shared(box: FloatArray, others: FloatArray) -> FloatArray:
-    """(N,) areas of intersection of boxes with one box, square pixels."""
-    low = np.maximum(others[:, :2], box[:2])
-    high = np.minimum(others[:, 2:], box[2:])
-    return np.asarray(np.clip(high - low, 0.0, None).prod(axis=1), dtype=np.float64)
 
 
 def _cut(

@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from sightline.overlap import shared_area
 from sightline.training.architecture import Target
 from sightline.training.augmentation import Augmentation, distort
 from sightline.training.data import Image, Sprite
@@ -311,7 +312,7 @@ class CollageBatches:
         place = np.array([left, row]) - box[[0, 3]] * scale
         corners = box * np.tile(scale, 2) + np.tile(place, 2)
         known = boxes.array()
-        shared = _shared(corners, known)
+        shared = shared_area(corners, known)
         if (shared > 0.6 * (corners[2:] - corners[:2]).prod()).any():
             return
         if not fake:
@@ -389,11 +390,6 @@ def _random_crop(
     how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
     part = picture[y : y + high, x : x + wide]
     return np.asarray(cv2.resize(part, (width, height), interpolation=how), dtype=np.uint8)
-
-
-def _shared(box: FloatArray, others: FloatArray) -> FloatArray:
-    low, high = np.maximum(others[:, :2], box[:2]), np.minimum(others[:, 2:], box[2:])
-    return np.asarray(np.maximum(high - low, 0.0).prod(axis=1))
 
 
 def _blend(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.overlap import iou, shared_area
 from sightline.training.data import Image, Sprite
 from sightline.types import BoolArray, FloatArray, IntArray
 
@@ -211,8 +212,7 @@ def _stands_free(one: Photograph, i: int) -> bool:
     if box[0] < _TOUCHES_PX or (box[2:] > inner).any():
         return False
     others = np.delete(one.boxes_xyxy_px.astype(float), i, axis=0)
-    low, high = np.maximum(others[:, :2], box[:2]), np.minimum(others[:, 2:], box[2:])
-    return not (np.maximum(high - low, 0.0).prod(axis=1) > _SHARED * width * height).any()
+    return not (shared_area(others, box) > _SHARED * width * height).any()
 
 
 def _cut_out(name: str, image: Image, box: FloatArray, label: int) -> Sprite | None:
@@ -245,9 +245,10 @@ def _cut_out(name: str, image: Image, box: FloatArray, label: int) -> Sprite | N
         return None
     tight = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1], dtype=float)
     area = float((own[2:] - own[:2]).prod())
-    shared = np.maximum(np.minimum(tight[2:], own[2:]) - np.maximum(tight[:2], own[:2]), 0.0).prod()
-    fit = shared / (area + (tight[2:] - tight[:2]).prod() - shared)
-    if fit < _LEAST_FIT or not _FILL_RANGE[0] <= solid.sum() / area <= _FILL_RANGE[1]:
+    if (
+        iou(tight, own.astype(float)) < _LEAST_FIT
+        or not _FILL_RANGE[0] <= solid.sum() / area <= _FILL_RANGE[1]
+    ):
         return None
     soft = cv2.GaussianBlur(solid.astype(np.float32), (0, 0), 0.7)
     opacity = np.asarray(soft, dtype=np.float32)

@@ -413,13 +413,13 @@ def load_onnx_weights(network: YoloxNetwork, path: str | Path, class_names: Sequ
     Raises:
         InputError: The file is missing, damaged, or of another network.
     """
-    pairs = list(zip(_in_order(network), _convolutions(path), strict=False))
-    own_count, given_count = len(_in_order(network)), len(_convolutions(path))
-    if own_count != given_count:
-        raise _other_network(path, f"it has {given_count} convolutions, not {own_count}")
+    published = _convolutions(path)
+    ours = _in_order(network)
+    if len(ours) != len(published):
+        raise _other_network(path, f"it has {len(published)} convolutions, not {len(ours)}")
     state: list[tuple[nn.Conv2d, Tensor, Tensor]] = []
     kinds = {id(module) for name, module in network.named_modules() if name.endswith("kind_output")}
-    for own, (weight, bias) in pairs:
+    for own, (weight, bias) in zip(ours, published, strict=True):
         if id(own) in kinds and len(weight) == len(COCO):
             weight, bias = _class_rows(own, weight, bias, class_names)
         if own.weight.shape != weight.shape:
