@@ -1,6 +1,6 @@
 """How low the boxes of detectors end below the waterline, on rendered boats.
 
-    python benchmarks/lower_edge.py [--harbours 24] [--write] [DETECTOR ...]
+    python benchmarks/lower_edge.py [--harbours 24] [--classes boat] [--write] [DETECTOR ...]
 
 A DETECTOR is a name or an ONNX file; absent: the one that ships, and `detectors/fold2.onnx`, which
 learned from other recordings. With `--write` what is measured is written into a file's metadata
@@ -18,7 +18,7 @@ import numpy as np
 from _support.lower_edge import lower_edge, overhang
 
 from sightline.atomic import atomic_path
-from sightline.detection import DEFAULT_DETECTOR, LowerEdge, detector_by_name
+from sightline.detection import DEFAULT_DETECTOR, DetectorOptions, LowerEdge, detector_by_name
 from sightline.detection.metadata import KEY
 
 FOLD2 = Path(__file__).parent / "detectors" / "fold2.onnx"
@@ -47,10 +47,13 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("detectors", nargs="*", default=[DEFAULT_DETECTOR, str(FOLD2)])
     arguments.add_argument("--harbours", type=int, default=24)
+    arguments.add_argument("--classes", help="absent: those that the file is for")
     arguments.add_argument("--write", action="store_true")
     given = arguments.parse_args()
     for name in given.detectors:
-        seen = overhang(detector_by_name(name), given.harbours)
+        classes = tuple(given.classes.split(",")) if given.classes else None
+        options = DetectorOptions(classes=classes)
+        seen = overhang(detector_by_name(name, options=options), given.harbours)
         edge = lower_edge(seen)
         print(
             f"{Path(name).name}: {len(seen)} boats; boxes end {edge.px:.2f} px and "

@@ -97,6 +97,8 @@ class DetectorMetadata(_Table):
         score_threshold: Least confidence of a box; None: the usual one.
         views: Tiles of a frame; None: the usual ones.
         lower_edge: Its lower-edge bias; None: not measured.
+        class_lower_edges: Lower-edge biases of classes whose boxes end elsewhere than the others';
+            each is a source of its own, see `source_of`.
     """
 
     format: int = FORMAT
@@ -109,13 +111,21 @@ class DetectorMetadata(_Table):
     score_threshold: Share | None = None
     views: TilingSettings | None = None
     lower_edge: LowerEdge | None = None
+    class_lower_edges: Mapping[str, LowerEdge] | None = None
 
     @model_validator(mode="after")
     def _known_defaults(self) -> DetectorMetadata:
         for name in self.default_classes or ():
             if name not in self.classes:
                 raise ValueError(f"default_classes names {name!r}, which is no class")
+        for name in self.class_lower_edges or {}:
+            if name not in self.classes:
+                raise ValueError(f"class_lower_edges names {name!r}, which is no class")
         return self
+
+    def source_of(self, detector: str, label: str) -> str:
+        """Source of the boxes of a class: the detector, or ``DETECTOR/CLASS``."""
+        return f"{detector}/{label}" if label in (self.class_lower_edges or {}) else detector
 
     def to_json(self) -> str:
         """The value of ``metadata_props["sightline"]``."""

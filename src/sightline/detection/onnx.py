@@ -204,7 +204,15 @@ class OnnxDetector:
             if value is not None
         )
         self._view_settings = self._options.tiling(metadata.views if metadata else None)
-        self.lower_edge: LowerEdge | None = metadata.lower_edge if metadata else None
+        self._sources = {
+            label: metadata.source_of(self.name, label) if metadata else self.name
+            for label in self.classes
+        }
+        self.lower_edges: dict[str, LowerEdge | None] = {
+            self.name: metadata.lower_edge if metadata else None
+        }
+        for label, edge in (metadata.class_lower_edges or {} if metadata else {}).items():
+            self.lower_edges[self._sources[label]] = edge
         self._given_horizon_px = horizon_px
         self._tile_px = self._network.input_px
         if self._tile_px is None and self._options.rotates:
@@ -224,6 +232,11 @@ class OnnxDetector:
     def provider(self) -> str:
         """Execution provider in use, one of `PROVIDERS`."""
         return self._network.provider
+
+    @property
+    def lower_edge(self) -> LowerEdge | None:
+        """Lower-edge bias of the boxes whose source is `name`; None: not measured."""
+        return self.lower_edges[self.name]
 
     @property
     def remembers(self) -> bool:
@@ -444,13 +457,14 @@ class OnnxDetector:
         stays = merge(views, frame_px, xyxy[kept], score[kept], view[kept], label[kept])
         kept = kept[stays]
         kept = kept[np.argsort(-score[kept], kind="stable")]
+        names = [self._class(i) for i in label[kept]]
         return Boxes.of(
             xyxy[kept],
             frame=frame.index,
             time_utc_s=frame.time_utc_s,
             confidence=score[kept],
-            source=self.name,
-            label=np.array([self._class(i) for i in label[kept]], dtype=np.str_),
+            source=np.array([self._sources.get(one, self.name) for one in names], dtype=np.str_),
+            label=np.array(names, dtype=np.str_),
         )
 
     def _class(self, index: int) -> str:

@@ -526,7 +526,8 @@ def _measured(
     """
     known = dict(lower_edges or {})
     names = np.unique(pairs.boxes.source).tolist()
-    if DEFAULT_DETECTOR in names and DEFAULT_DETECTOR not in known:
+    shipped = any(name.split("/")[0] == DEFAULT_DETECTOR for name in names)
+    if shipped and DEFAULT_DETECTOR not in known:
         # A table of what it found may be all that there is.
         known |= lower_edges_of(DEFAULT_DETECTOR)
     away = pairs.east_north_m - (camera.east_m, camera.north_m)

@@ -25,7 +25,7 @@ _EVERY_OF_VIDEO = 25
 
 
 def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
-    """Lower-edge bias of a detector, by the name of its source.
+    """Lower-edge biases of a detector, by the names of its sources.
 
     Args:
         detector: As `detector_by_name` takes it.
@@ -34,7 +34,7 @@ def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
         InputError: The detector is not known.
     """
     made = detector_by_name(detector)
-    return {made.name: made.lower_edge} if isinstance(made, OnnxDetector) else {}
+    return dict(made.lower_edges) if isinstance(made, OnnxDetector) else {}
 
 
 class SceneDetections:

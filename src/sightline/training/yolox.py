@@ -197,6 +197,17 @@ class YoloxNetwork(nn.Module):  # type: ignore[misc]
         """What makes features of pictures, without what joins their scales."""
         return self.stem, self.stage4, self.stage8, self.stage16, self.stage32
 
+    def features(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Features of pictures, (B, channels, H / stride, W / stride) for each of `STRIDES`.
+
+        Args:
+            images: (B, 3, H, W), BGR, 0 to 255, sides a multiple of 32.
+        """
+        parts = [images[..., y::2, x::2] for x in (0, 1) for y in (0, 1)]
+        f8 = self.stage8(self.stage4(self.stem(torch.cat(parts, dim=1))))
+        f16 = self.stage16(f8)
+        return f8, f16, self.stage32(f16)
+
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Look at pictures.
 
@@ -204,13 +215,23 @@ class YoloxNetwork(nn.Module):  # type: ignore[misc]
             images: (B, 3, H, W), BGR, 0 to 255, sides a multiple of 32.
 
         Returns:
+            As `decode`.
+        """
+        return self.decode(*self.features(images))
+
+    def decode(self, f8: Tensor, f16: Tensor, f32: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Find things in features.
+
+        Args:
+            f8: As `features` gives them.
+            f16: Likewise.
+            f32: Likewise.
+
+        Returns:
             Boxes (B, N, 4), corners in px; logits of something being there (B, N); logits
             (B, N, classes); cells (N, 3), corner and stride in px.
         """
-        parts = [images[..., y::2, x::2] for x in (0, 1) for y in (0, 1)]
-        f8 = self.stage8(self.stage4(self.stem(torch.cat(parts, dim=1))))
-        f16 = self.stage16(f8)
-        f32 = self.lateral32(self.stage32(f16))
+        f32 = self.lateral32(f32)
         p16 = self.lateral16(
             self.up16(torch.cat([functional.interpolate(f32, scale_factor=2.0), f16], dim=1))
         )
@@ -220,7 +241,7 @@ class YoloxNetwork(nn.Module):  # type: ignore[misc]
         boxes, something, kinds, cells = [], [], [], []
         for head, level, stride in zip(self.heads, (p8, q16, q32), STRIDES, strict=True):
             out = head(level)
-            cell = _cells(out.shape[2], out.shape[3], stride, images.device)
+            cell = _cells(out.shape[2], out.shape[3], stride, out.device)
             flat = out.flatten(2).transpose(1, 2).float()
             middle = flat[..., :2] * stride + cell[:, :2]
             half = flat[..., 2:4].clamp(max=_LONGEST).exp() * (0.5 * stride)
