@@ -49,6 +49,7 @@ _UNTYPED = {
     "training/efficientdet.py": _TORCH,
     "training/export.py": _TORCH,
     "training/faster_rcnn.py": _TORCH,
+    "training/gated.py": _TORCH,
     "training/loop.py": _TORCH,
     "training/photometric.py": _TORCH,
     "training/pretrained.py": _TORCH,
