@@ -54,6 +54,7 @@ EventKind = Literal[
 """What happens to a source."""
 
 _LOOKS_APART_S = 0.1
+_CLOSE_S = 1.0
 _EVERY = 8
 _DARK, _FLAT = 26.0, 3.0
 _MOST_FAILURES = 25
@@ -236,9 +237,10 @@ class _Reader:
         with self._changed:
             self._newest = None
             self._changed.notify_all()
+        until_s = time.monotonic() + _CLOSE_S
         for thread in self._threads:
             if thread is not threading.current_thread():
-                thread.join(2.0)
+                thread.join(max(0.0, until_s - time.monotonic()))
 
     def _read(self) -> None:
         raise NotImplementedError

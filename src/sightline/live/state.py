@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -346,10 +348,16 @@ class LiveState:
             done += self._carry_on(target, now_utc_s)
         return done
 
-    def finish(self) -> list[SmoothedPart]:
-        """Make all tracks final: there are no more frames."""
+    def finish(self, most_s: float = math.inf) -> list[SmoothedPart]:
+        """Make all tracks final: there are no more frames.
+
+        Args:
+            most_s: How long that may take; tracks that are left are as they were smoothed before.
+        """
+        until_s = time.monotonic() + most_s
         for target in self._targets.values():
-            self._finish(target)
+            if time.monotonic() < until_s:
+                self._finish(target)
         self._targets.clear()
         self._filter.keep(np.empty(0, dtype=np.int64))
         done = list(self._finished)

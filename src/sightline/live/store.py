@@ -406,7 +406,7 @@ class Keeper:
                 self._parts.popleft()
             self._changed.notify_all()
 
-    def close(self, timeout_s: float = 2.0) -> None:
+    def close(self, timeout_s: float = 1.0) -> None:
         """Write what waits, for so long at the most, and close the store."""
         with self._changed:
             self._closing = True
