@@ -111,6 +111,10 @@ class LiveRun:
         self._state_due_s = 0.0
         self._status_due_s = time.monotonic() + _STATUS_EVERY_S
 
+    def add_feed(self, name: str, feed: Feed) -> None:
+        """Send moments to one more, from when it runs."""
+        self._feeds[name] = feed
+
     def run(self, stop: threading.Event) -> None:
         """Watch until ``stop`` is set, or the source has ended.
 
