@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from cameras import HttpCamera, free_port, http_camera
 
 from sightline import Scene, fit
 from sightline.cli import main
+from sightline.live.config import read_live_config
 from sightline.live.store import stored_tracks
 from sightline.simulation.simulate import SimulationSettings, simulate
 
@@ -216,3 +218,15 @@ def test_bad_input_is_one_line(
         assert why in err, (arguments, err)
         assert err.count("\n") == 1, err
         assert "secret" not in out + err
+
+
+def test_the_configuration_of_the_documentation_is_read(tmp_path: Path) -> None:
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "watch-live.md"
+    (text,) = re.findall(r"^```toml\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    commented = re.sub(r"^# (\w+ =)", r"\1", text, flags=re.MULTILINE)
+    (tmp_path / "live.toml").write_text(commented, encoding="utf-8")
+    table = read_live_config(tmp_path / "live.toml")
+    assert table.camera == "dock"
+    assert table.model == str(tmp_path / "dock.safetensors")
+    assert table.source.options == {"rtsp_transport": "udp"}
+    assert table.feeds.nmea == ["tcp://0.0.0.0:10110"]

@@ -219,7 +219,8 @@ class TestExport:
         # It is exported while live goes on.
         names = ("geojson", "gpx", "kml", "csv", "parquet", "gpkg", "mfjson")
         outputs = [tmp_path / f"out.{name}" for name in names]
-        options = [word for path in outputs for word in ("-o", str(path))]
+        # As many as there are behind one -o.
+        options = ["-o", *map(str, outputs)]
         with pytest.raises(SystemExit) as stopped:
             main(["export", str(store.path), *options])
         assert stopped.value.code == 0, capsys.readouterr().err

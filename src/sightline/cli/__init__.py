@@ -47,7 +47,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (demo, check, run, fit, compare, track, live, export, evaluate, detect, simulate):
-    app.command(cls=TrackCommand if command is track else None)(command)
+    app.command(cls=TrackCommand if command in (track, export) else None)(command)
 app.add_typer(detector)
 
 
