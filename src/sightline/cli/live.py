@@ -223,6 +223,7 @@ class _Session:
 
     def watch(self, stop: Stop) -> None:
         """Watch until somebody asks to stop."""
+        from sightline.live.ais import AisMatcher, AisReceiver
         from sightline.live.run import LiveRun
         from sightline.live.store import Keeper
 
@@ -242,6 +243,12 @@ class _Session:
             for url in getattr(table.feeds, kind):
                 feeds[_free(kind, feeds)] = self._opened_feed(kind, url)
         call(self._probed, stop)
+        matcher = None
+        if table.ais.source is not None:
+            matcher = AisMatcher(self._model.plane)
+            receiver = AisReceiver(table.ais.source, matcher)
+            self._stack.callback(receiver.close)
+            receiver.start()
         run = LiveRun(
             self._source,
             self._camera,
@@ -250,6 +257,7 @@ class _Session:
             first_id=first_id,
             kept_state=kept_state,
             told=self.told,
+            ais=matcher,
         )
         if table.server.address is not None:
             server = self._opened_server(run.health, run.picture)
@@ -427,6 +435,10 @@ def _check_addresses(table: LiveTable) -> None:
             raise InputError(
                 f"--serve {table.server.address!r}: expected HOST:PORT, for example 127.0.0.1:8080"
             )
+    if table.ais.source is not None:
+        from sightline.live.ais import check_ais
+
+        check_ais(table.ais.source)
     for kind in _KINDS:
         for url in getattr(table.feeds, kind):
             if "://" not in url:

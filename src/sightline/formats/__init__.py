@@ -20,6 +20,8 @@ from sightline.formats import _files, _track_table
 from sightline.formats._json_logs import coco_refusal, is_coco, is_json
 from sightline.formats._log_table import is_log_table, is_vessel_table
 from sightline.formats.ais import (
+    AisReport,
+    AisStream,
     AisVessel,
     read_ais,
     read_ais_dimensions,
@@ -48,6 +50,8 @@ from sightline.tally import Tally
 from sightline.types import Boxes, Fixes, Track
 
 __all__ = [
+    "AisReport",
+    "AisStream",
     "AisVessel",
     "BoxWriter",
     "TrackWriter",

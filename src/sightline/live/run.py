@@ -16,6 +16,7 @@ from sightline.camera.horizon_tracker import with_horizons
 from sightline.camera.state import ObservedBoxes
 from sightline.detection import Detector
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.live.ais import AisMatcher
 from sightline.live.lines import Lines
 from sightline.live.moment import Feed, Moment
 from sightline.live.source import LiveFrame, Source, SourceEvent
@@ -75,6 +76,7 @@ class LiveRun:
         first_id: int = 1,
         kept_state: Mapping[str, object] | None = None,
         told: Told | None = None,
+        ais: AisMatcher | None = None,
     ) -> None:
         """Take all parts; nothing is begun.
 
@@ -86,7 +88,9 @@ class LiveRun:
             first_id: Of the next target.
             kept_state: What an earlier run left; see `LiveState.carry_on`.
             told: Is told what happens.
+            ais: Names targets by what vessels say of themselves.
         """
+        self._ais = ais
         self._source, self._camera, self._keeper = source, camera, keeper
         self._feeds = dict(feeds or {})
         self._told = told
@@ -191,6 +195,8 @@ class LiveRun:
             capture_sigma_s=live.sigma_s,
             frame_size_px=(width, height),
         )
+        if self._ais is not None:
+            moment = self._ais.identify(moment)
         self._last = frame.image_bgr, moment
         return moment
 
@@ -246,6 +252,8 @@ class LiveRun:
         }
         if self._lines is not None:
             told["feeds"] = self._lines.counts()
+        if self._ais is not None:
+            told["ais_vessels"] = len(self._ais)
         if keeper is not None:
             known = np.isfinite(keeper.kept_utc_s)
             told["kept_utc_s"] = keeper.kept_utc_s if known else None

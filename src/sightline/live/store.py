@@ -316,6 +316,9 @@ def _track(
         "FROM point WHERE time_us >= ? AND time_us < ? AND target_id = ? ORDER BY time_us",
         (max(after, first), min(between[1], last + 1), number),
     ).fetchall()
+    while published and published[-1][-1] == _STATES.index("predicted"):
+        # Where nothing was seen any more, is no end of a track.
+        published.pop()
     kinds = {1: PointKind.EXTRAPOLATED}
     rows = list(smoothed)
     for *before, speed_mps, course_deg, state in published:
