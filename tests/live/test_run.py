@@ -255,3 +255,33 @@ def test_what_is_masked_is_neither_shown_nor_looked_for(
     assert shown is not None
     assert abs(int(shown[600, 600, 0]) - 114) < 3
     assert abs(int(shown[2, 600, 0]) - 90) < 3
+
+
+@pytest.mark.slow
+def test_a_restart_carries_targets_on_and_uses_no_number_twice(
+    model: Georeferencer, harbour: Harbour, tmp_path: Path
+) -> None:
+    camera, times = _camera(model, harbour)
+    seen: list[Collects] = []
+    # Three seconds are lost between the first two; the third comes an hour later.
+    for some in (times[:100], times[130:], times + 3600.0):
+        store = Store(tmp_path / "quay.db", camera="quay", plane=model.plane)
+        feed = Collects()
+        if some[0] > times[-1]:
+            boxes = harbour.boxes(times, noise=LASTING, of="all")
+            later = boxes.with_columns(time_utc_s=boxes.time_utc_s + 3600.0)
+            camera = Camera("quay", model, Knows(later))
+        run = LiveRun(
+            Scripted(some),
+            camera,
+            feeds={"a": feed},
+            keeper=Keeper(store),
+            first_id=store.highest_id() + 1,
+            kept_state=store.kept_state(),
+        )
+        run.run(threading.Event())
+        seen.append(feed)
+    first, second, third = ({t.id for m in feed.moments for t in m.targets} for feed in seen)
+    assert len(first & second) >= len(first) / 2
+    assert not (first | second) & third
+    assert min(third) == max(first | second) + 1

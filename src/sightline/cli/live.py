@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -180,7 +181,7 @@ class _Session:
 
     def __init__(self, table: LiveTable, stack: ExitStack) -> None:
         from sightline.georeferencing.georeferencer import load_model
-        from sightline.live.journal import Journal
+        from sightline.live.journal import Journal, JournalHandler
         from sightline.text import without_secrets
 
         self._table, self._stack = table, stack
@@ -190,6 +191,9 @@ class _Session:
         self._model: Georeferencer = load_model(Path(table.model or ""))
         self._journal: Journal = Journal(Path(table.log.file) if table.log.file else None)
         stack.callback(self._journal.close)
+        handler = JournalHandler(self._journal)
+        logging.getLogger("sightline").addHandler(handler)
+        stack.callback(logging.getLogger("sightline").removeHandler, handler)
         self._camera = self._made_camera()
         self._source = self._made_source()
         stack.callback(self._source.close)
@@ -241,7 +245,9 @@ class _Session:
         feeds: dict[str, Feed] = {}
         for kind in _KINDS:
             for url in getattr(table.feeds, kind):
-                feeds[_free(kind, feeds)] = self._opened_feed(kind, url)
+                feed = feeds[_free(kind, feeds)] = self._opened_feed(kind, url)
+                # Where it comes to nothing; closed by then, it does nothing.
+                self._stack.callback(feed.close)
         call(self._probed, stop)
         matcher = None
         if table.ais.source is not None:

@@ -227,7 +227,7 @@ class AisStream:
         found = []
         for message in self._messages.add(text):
             report = _decoded(message)
-            if report is None:
+            if report is None or report.mmsi is None:
                 self._tally.leave_out("AIS messages that cannot be read")
                 continue
             name = str(getattr(report, "shipname", None) or "").strip(" @")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import threading
 import time
@@ -12,6 +13,18 @@ from typing import TextIO
 from sightline.errors import OutputError
 from sightline.text import json_text, without_secrets
 from sightline.types import rfc3339
+
+
+class JournalHandler(logging.Handler):
+    """Writes what the library warns of to a journal."""
+
+    def __init__(self, journal: Journal) -> None:
+        super().__init__(logging.WARNING)
+        self._journal = journal
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See `logging.Handler`."""
+        self._journal.write("warning", record.getMessage())
 
 
 class Journal:
@@ -36,11 +49,6 @@ class Journal:
                 raise OutputError(f"{path}: cannot be written: {error.strerror}") from error
         elif path is not None:
             self._file = sys.stderr
-
-    @property
-    def on(self) -> bool:
-        """Whether it is written."""
-        return self._file is not None
 
     def write(self, kind: str, text: str) -> None:
         """Write an event; a log that cannot be written stops nothing."""

@@ -211,7 +211,8 @@ class LiveRun:
         """Make tracks final, send and write what is left, and let go of all threads."""
         parts = self.state.finish(_FINISH_S)
         if self._keeper is not None:
-            self._keeper.keep(None, parts)
+            # A restart soon afterwards carries on from the last frame.
+            self._keeper.keep(None, parts, self.state.to_json())
         if self._lines is not None:
             self._lines.close()
         self._source.close()

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.clock import Clock
-from sightline.errors import InputError, SightlineError
+from sightline.errors import InputError
 from sightline.live.capture_times import CaptureTime, CaptureTimes, sender_utc_s
 from sightline.live.moment import CaptureClock
 from sightline.tally import Tally
@@ -412,9 +412,9 @@ class CameraSource(_Reader):
         """One connection, from its beginning to its end."""
         try:
             container, stream, conversion = self._opened()
-        except InputError as error:
+        except Exception as error:
             if not self._stop.is_set():
-                self._refused(str(error))
+                self._refused(str(error) or type(error).__name__)
             return
         reason = "it has ended, or its connection was closed"
         try:
@@ -427,7 +427,8 @@ class CameraSource(_Reader):
                 self._packet(packet, container, stream, conversion)
                 if self._stop.is_set() or self._leave.is_set():
                     break
-        except (av.FFmpegError, OSError, ValueError) as error:
+        # What decoders raise is no closed set, and a camera is connected again whatever it was.
+        except Exception as error:
             reason = _why(error)
         finally:
             self._reading_since_s = None
@@ -580,8 +581,8 @@ class PlayedSource(_Reader):
         text = "it has been played to its end"
         try:
             self._play()
-        except SightlineError as error:
-            text = str(error)
+        except Exception as error:
+            text = str(error) or type(error).__name__
         with self._changed:
             if not self._stop.is_set():
                 self._become("ended", text)

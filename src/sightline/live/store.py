@@ -293,7 +293,7 @@ def stored_tracks(
                 track = _track(file, int(number), str(name or label), plane, (low, high))
             if track is not None:
                 yield track
-    except (sqlite3.Error, KeyError, ValueError) as error:
+    except (sqlite3.Error, LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: is damaged, or no store of sightline live ({error})") from error
 
 
@@ -440,7 +440,7 @@ class Keeper:
         parts: list[SmoothedPart],
         state: dict[str, object] | None,
     ) -> bool:
-        if not (moments or parts):
+        if not (moments or parts or state):
             return True
         try:
             self._store.keep(moments, parts, state)
@@ -457,6 +457,8 @@ class Keeper:
             kept = {id(moment) for moment in moments}
             while self._moments and id(self._moments[0]) in kept:
                 self._moments.popleft()
+            if self._state is state:
+                self._state = None
             written = {id(part) for part in parts}
             while self._parts and id(self._parts[0]) in written:
                 self._parts.popleft()
