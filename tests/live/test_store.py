@@ -130,6 +130,15 @@ def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
         _store(tmp_path / "nowhere" / "a.db")
 
 
+def test_one_program_writes_to_a_store_at_a_time(tmp_path: Path) -> None:
+    first = _store(tmp_path / "quay.db")
+    with pytest.raises(InputError, match="another sightline live"):
+        _store(tmp_path / "quay.db")
+    first.keep([moment(0)])
+    first.close()
+    _store(tmp_path / "quay.db").close()
+
+
 WRITER = """
 import sys
 sys.path.insert(0, {tests!r})

@@ -395,10 +395,17 @@ class _Session:
         return Store(self._table.store.file, camera=self._table.camera, plane=self._model.plane)
 
     def _tried_store(self) -> str:
+        from sightline.live.store import check_store
+
+        path = Path(self._table.store.file or "")
+        if path.exists():
+            # It may be in use.
+            check_store(path)
+            return f"{path}"
         store = self._opened_store()
         if store is not None:
             store.close()
-        return f"{self._table.store.file}"
+        return f"{path}, made"
 
     def _opened_server(
         self,

@@ -31,6 +31,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import IO
 from urllib.parse import quote
 
 import numpy as np
@@ -87,6 +88,7 @@ class Store:
             InputError: The file is something else, of a newer version, or cannot be written.
         """
         self.path = Path(path)
+        self._lock = _locked(self.path)
         try:
             made = not self.path.exists() or self.path.stat().st_size == 0
             if not made:
@@ -171,6 +173,9 @@ class Store:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+        if self._lock is not None:
+            self._lock.close()
+            self._lock = None
 
     def _keep_moment(self, moment: Moment) -> None:
         time_us = _microseconds(moment.time_utc_s)
@@ -232,6 +237,32 @@ class Store:
     def _get(self, key: str) -> str | None:
         row = self._file.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return None if row is None else str(row[0])
+
+
+def _locked(path: Path) -> IO[bytes] | None:
+    """A lock that ends with the program: two that write would give the same numbers twice.
+
+    It is on a file beside the store, since closing a file of SQLite's own ends SQLite's locks.
+
+    Raises:
+        InputError: Another program has it.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    try:
+        file = path.with_name(f"{path.name}-lock").open("ab")
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written as a store: {error.strerror}") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        file.close()
+        raise InputError(
+            f"{path}: is being written to by another sightline live; give each camera its own"
+        ) from error
+    return file
 
 
 def check_store(path: Path) -> None:
