@@ -36,6 +36,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from sightline.atomic import locked
 from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
 from sightline.live.moment import Moment
@@ -88,7 +89,7 @@ class Store:
             InputError: The file is something else, of a newer version, or cannot be written.
         """
         self.path = Path(path)
-        self._lock = _locked(self.path)
+        self._lock = _only_writer(self.path)
         try:
             made = not self.path.exists() or self.path.stat().st_size == 0
             if not made:
@@ -173,9 +174,7 @@ class Store:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-        if self._lock is not None:
-            self._lock.close()
-            self._lock = None
+        self._lock.close()
 
     def _keep_moment(self, moment: Moment) -> None:
         time_us = _microseconds(moment.time_utc_s)
@@ -239,7 +238,7 @@ class Store:
         return None if row is None else str(row[0])
 
 
-def _locked(path: Path) -> IO[bytes] | None:
+def _only_writer(path: Path) -> IO[bytes]:
     """A lock that ends with the program: two that write would give the same numbers twice.
 
     It is on a file beside the store, since closing a file of SQLite's own ends SQLite's locks.
@@ -248,20 +247,19 @@ def _locked(path: Path) -> IO[bytes] | None:
         InputError: Another program has it.
     """
     try:
-        import fcntl
-    except ImportError:
-        return None
-    try:
         file = path.with_name(f"{path.name}-lock").open("ab")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written as a store: {error.strerror}") from error
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
+        free = locked(file.fileno())
+    except OSError:
+        # A disk without locks tells nobody apart.
+        free = True
+    if not free:
         file.close()
         raise InputError(
             f"{path}: is being written to by another sightline live; give each camera its own"
-        ) from error
+        )
     return file
 
 
