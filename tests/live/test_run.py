@@ -12,7 +12,7 @@ import pytest
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.lines import Lines
 from sightline.live.moment import Moment
-from sightline.live.run import Camera, LiveRun
+from sightline.live.run import Camera, EarlierRun, LiveRun
 from sightline.live.source import Health, LiveFrame, SourceCounts
 from sightline.live.store import Keeper, Store, stored_tracks
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
@@ -137,7 +137,7 @@ def test_frames_become_moments_that_are_published_and_kept(
         camera,
         feeds={"collected": feed},
         keeper=Keeper(store),
-        first_id=100,
+        earlier=EarlierRun(99),
         told=lambda kind, text: told.append((kind, text)),
     )
     run.run(threading.Event())
@@ -276,8 +276,7 @@ def test_a_restart_carries_targets_on_and_uses_no_number_twice(
             camera,
             feeds={"a": feed},
             keeper=Keeper(store),
-            first_id=store.highest_id() + 1,
-            kept_state=store.kept_state(),
+            earlier=EarlierRun(store.highest_id(), store.kept_state()),
         )
         run.run(threading.Event())
         seen.append(feed)

@@ -228,15 +228,15 @@ class _Session:
     def watch(self, stop: Stop) -> None:
         """Watch until somebody asks to stop."""
         from sightline.live.ais import AisMatcher, AisReceiver
-        from sightline.live.run import LiveRun
+        from sightline.live.run import EarlierRun, LiveRun
         from sightline.live.store import Keeper
 
         table = self._table
         store = self._opened_store()
         keeper = None
-        first_id, kept_state = 1, {}
+        earlier = EarlierRun()
         if store is not None:
-            first_id, kept_state = store.highest_id() + 1, store.kept_state()
+            earlier = EarlierRun(store.highest_id(), store.kept_state())
             keeper = Keeper(
                 store,
                 retention_days=table.store.retention_days,
@@ -260,8 +260,7 @@ class _Session:
             self._camera,
             feeds=feeds,
             keeper=keeper,
-            first_id=first_id,
-            kept_state=kept_state,
+            earlier=earlier,
             told=self.told,
             ais=matcher,
         )

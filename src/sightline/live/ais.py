@@ -72,10 +72,10 @@ class _Vessel:
         place = np.array([float(east), float(north)])
         if known:
             place = place + lag_s * velocity
-            drift_m = 0.5 * _ACCELERATION_MPS2 * lag_s**2
+            astray_m = 0.5 * _ACCELERATION_MPS2 * lag_s**2
         else:
-            drift_m = speed * abs(lag_s)
-        return place, _PLACE_M**2 + (speed * _LATE_S) ** 2 + drift_m**2
+            astray_m = speed * abs(lag_s)
+        return place, _PLACE_M**2 + (speed * _LATE_S) ** 2 + astray_m**2
 
 
 class AisMatcher:

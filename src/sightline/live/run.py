@@ -63,6 +63,19 @@ class Camera:
     silent_s: float = 5.0
 
 
+@dataclass(frozen=True)
+class EarlierRun:
+    """What a run left to the next, so that no number is used twice.
+
+    Attributes:
+        highest_id: Of its targets, and of those before.
+        state: What identities are carried on with; see `LiveState.carry_on`.
+    """
+
+    highest_id: int = 0
+    state: Mapping[str, object] = field(default_factory=dict)
+
+
 class LiveRun:
     """Watches one camera; `run` returns when it is asked to stop, or a recording has ended."""
 
@@ -73,8 +86,7 @@ class LiveRun:
         *,
         feeds: Mapping[str, Feed] | None = None,
         keeper: Keeper | None = None,
-        first_id: int = 1,
-        kept_state: Mapping[str, object] | None = None,
+        earlier: EarlierRun | None = None,
         told: Told | None = None,
         ais: AisMatcher | None = None,
     ) -> None:
@@ -85,11 +97,11 @@ class LiveRun:
             camera: What it is watched with.
             feeds: Where moments go, by what they are called.
             keeper: Keeps them.
-            first_id: Of the next target.
-            kept_state: What an earlier run left; see `LiveState.carry_on`.
+            earlier: What the run before left.
             told: Is told what happens.
             ais: Names targets by what vessels say of themselves.
         """
+        earlier = earlier or EarlierRun()
         self._ais = ais
         self._source, self._camera, self._keeper = source, camera, keeper
         self._feeds = dict(feeds or {})
@@ -99,10 +111,10 @@ class LiveRun:
             camera.model,
             camera.name,
             settings=camera.targets,
-            first_id=first_id,
+            first_id=earlier.highest_id + 1,
             area=camera.area,
         )
-        self._kept_state = kept_state or {}
+        self._earlier = earlier
         self._water = None
         camera.model.check_water(camera.water_level_m is not None)
         if camera.water_level_m is not None:
@@ -140,7 +152,7 @@ class LiveRun:
                     if self._source.health == "ended":
                         break
                     continue
-                if first and self.state.carry_on(self._kept_state, live.frame.time_utc_s):
+                if first and self.state.carry_on(self._earlier.state, live.frame.time_utc_s):
                     self._tell("carried-on", "the targets of the run before are carried on")
                 first = False
                 self._process(live)
