@@ -83,6 +83,11 @@ class Collects:
         self.closed = True
 
 
+class Tells(Collects):
+    def statistics(self) -> dict[str, int]:
+        return {"connected": 1, "lost": 3}
+
+
 class Raises(Collects):
     def publish(self, moment: Moment) -> None:
         raise ConnectionError("mqtt://user:secret@host is gone")
@@ -175,7 +180,7 @@ def test_a_feed_that_raises_holds_up_nobody_and_is_told_without_its_password(
     model: Georeferencer, harbour: Harbour
 ) -> None:
     camera, times = _camera(model, harbour)
-    good, told = Collects(), []
+    good, told = Tells(), []
     run = LiveRun(
         Scripted(times),
         camera,
@@ -185,6 +190,11 @@ def test_a_feed_that_raises_holds_up_nobody_and_is_told_without_its_password(
     run.run(threading.Event())
     assert run.health()["frames_processed"] == times.size
     assert good.moments[-1].time_utc_s == times[-1]
+    feeds = run.health()["feeds"]
+    assert isinstance(feeds, dict)
+    assert feeds["good"]["connected"] == 1
+    assert feeds["good"]["lost"] >= 3
+    assert feeds["broken"]["failed"] > 0
     assert told == [("feed", "broken: mqtt://***@host is gone")]
 
 

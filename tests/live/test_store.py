@@ -233,6 +233,10 @@ class TestExport:
         with pytest.raises(SystemExit) as stopped:
             main(["export", str(store.path), *options])
         assert stopped.value.code == 0, capsys.readouterr().err
+        # Its own results are replaced.
+        with pytest.raises(SystemExit) as stopped:
+            main(["export", str(store.path), *options])
+        assert stopped.value.code == 0, capsys.readouterr().err
         for path in outputs:
             if path.suffix in (".geojson", ".csv", ".parquet", ".gpkg", ".gpx"):
                 tracks = read_tracks(path, plane=PLANE)

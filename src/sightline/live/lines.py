@@ -35,6 +35,11 @@ class _Line:
                 self.lost += 1
             self._changed.notify()
 
+    def counts(self) -> dict[str, int]:
+        ask = getattr(self._feed, "statistics", None)
+        own: dict[str, int] = ask() if callable(ask) else {}
+        return {**own, "lost": self.lost + own.get("lost", 0), "failed": self.failed}
+
     def ask_to_close(self) -> None:
         with self._changed:
             self._closing = True
@@ -88,8 +93,8 @@ class Lines:
             line.put(moment)
 
     def counts(self) -> dict[str, dict[str, int]]:
-        """How many moments each lost, and how often it failed."""
-        return {line.name: {"lost": line.lost, "failed": line.failed} for line in self._lines}
+        """How many moments each lost, how often it failed, and what it tells of itself."""
+        return {line.name: line.counts() for line in self._lines}
 
     def close(self, timeout_s: float = 1.2) -> None:
         """Let all of them send what is left, for so long together."""
