@@ -166,10 +166,10 @@ def test_an_identity_outlives_a_pause_a_restart_and_a_clock_that_is_set(
     kept = json.loads(json.dumps(before.state.to_json()))
     after = Run(LiveState(model, "quay", first_id=12))
     assert after.state.carry_on(kept, float(times[130]))
-    # Three seconds later, under a clock that was set by an hour.
+    # Three seconds later, under a clock that was set back by an hour.
     after.see(boxes, times[130:160])
-    after.state.shift(3600.0)
-    later = boxes.with_columns(time_utc_s=boxes.time_utc_s + 3600.0)
+    after.state.shift(-3600.0)
+    later = boxes.with_columns(time_utc_s=boxes.time_utc_s - 3600.0)
     after.see(later, later.time_utc_s[160:])
     assert before.ids() == {7}
     assert after.ids() == {7}
