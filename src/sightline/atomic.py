@@ -252,7 +252,7 @@ def _taken(folder: Path, goal: str | os.PathLike[str]) -> int | None:
             # Whoever had the folder has just removed it.
             continue
         try:
-            if not _lock(handle):
+            if not locked(handle):
                 raise InputError(
                     f"{goal}: another run is writing it; wait for that, or give another name"
                 )
@@ -284,7 +284,7 @@ def _foreign(folder: Path) -> bool:
 if sys.platform == "win32":
     import msvcrt
 
-    def _lock(handle: int) -> bool:
+    def locked(handle: int) -> bool:
         """Whether a file could be locked, until it is closed or the process ends."""
         try:
             msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
@@ -295,7 +295,7 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-    def _lock(handle: int) -> bool:
+    def locked(handle: int) -> bool:
         """Whether a file could be locked, until it is closed or the process ends."""
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

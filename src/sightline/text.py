@@ -19,6 +19,21 @@ _UNSEEN = re.compile(
 _FORMULA = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
 
+# Of an address: what stands before the host, and what a query calls by such a name.
+_USER = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*://)[^/\s?#]*@")
+_SECRET = re.compile(
+    r"([?&](?:user(?:name)?|usr|pwd|pass(?:word|wd|phrase)?|token|key|secret|auth)=)[^&\s#]+",
+    re.IGNORECASE,
+)
+
+
+def without_secrets(text: str) -> str:
+    """A text whose addresses no longer name a user, a password or a token."""
+    if "://" not in text:
+        return text
+    return _SECRET.sub(r"\1***", _USER.sub(r"\1***@", text))
+
+
 def encodable_text(text: str) -> str:
     """A text without the lone surrogates that no encoding can hold."""
     return _LONE_SURROGATE.sub(_REPLACED, text)

@@ -283,7 +283,7 @@ def test_a_disk_without_locks_tells_nobody_apart(
     def refuse(_: int) -> bool:
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr(atomic, "_lock", refuse)
+    monkeypatch.setattr(atomic, "locked", refuse)
     target = tmp_path / "result.csv"
     with atomic_path(target) as first:
         first.write_text("first")

@@ -16,8 +16,12 @@ from onnx import TensorProto, helper, numpy_helper
 from PIL import Image
 
 from sightline import formats
+from sightline.formats import read_tracks
 from sightline.formats.labels import Labels, write_labels
 from sightline.geodesy import LocalPlane
+from sightline.live.moment import Moment, TargetState
+from sightline.live.state import SmoothedPart
+from sightline.live.store import Store
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation.simulate import SimulationSettings, simulate
@@ -71,6 +75,7 @@ def make_examples(folder: Path) -> None:
     _pictures(folder)
     _picture_labels(folder)
     _areas(folder)
+    _live(folder)
     _foreign(folder)
 
 
@@ -423,6 +428,25 @@ def _areas(folder: Path) -> None:
     mask = np.full((FRAME_PX[1], FRAME_PX[0]), 255, dtype=np.uint8)
     mask[:30] = 0
     Image.fromarray(mask).save(folder / "mask.png")
+
+
+def _live(folder: Path) -> None:
+    """What live is told, and what it keeps."""
+    (folder / "live.toml").write_text(
+        'camera = "quay"\nmodel = "camera-gpr.safetensors"\nwater_level_m = 1.5\n'
+        '[source]\naddress = "rtsp://192.0.2.7/a"\nclock = "auto"\nsilent_s = 5.0\n'
+        '[detector]\nname = "harbour"\nclasses = ["boat"]\n[store]\nfile = "live.db"\n'
+        '[feeds]\nnmea = ["udp://127.0.0.1:10110"]\n'
+    )
+    store = Store(folder / "live.db", camera="quay", plane=LocalPlane(54.3, 10.1))
+    for k in range(40):
+        target = TargetState(
+            1 + k % 2, 54.3 + 1e-5 * k, 10.1, np.eye(2), 2.0, 10.0, "measured", name="ALBATROS"
+        )
+        store.keep([Moment(1_717_236_000.0 + 0.1 * k, "sender", "quay", (target,))])
+    track = read_tracks(folder / "tracks.geojson")[0]
+    store.keep([], [SmoothedPart(track, final=True)], {"tracker": {}})
+    store.close()
 
 
 def _foreign(folder: Path) -> None:

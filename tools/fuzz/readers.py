@@ -29,8 +29,14 @@ from sightline.formats.picture_labels import (
     read_coco_labels,
     read_yolo_labels,
 )
+from sightline.geodesy import LocalPlane
 from sightline.georeferencing.georeferencer import load_model
+from sightline.live.ais import AisMatcher
+from sightline.live.config import read_live_config
+from sightline.live.moment import Moment
+from sightline.live.store import stored_tracks
 from sightline.scene import Scene
+from sightline.tally import Tally
 from sightline.tracks import Tracks
 from sightline.types import Boxes, Frame
 from sightline.video.mask import read_mask
@@ -65,6 +71,24 @@ def _feed(path: Path, _: Path) -> None:
     formats.holds_ais(path)
     formats.read_ais_feed(path)
     formats.read_fixes(path, mmsi=211000001)
+
+
+def _receiver(path: Path, _: Path) -> None:
+    """As from a receiver, line by line."""
+    stream, matcher = formats.AisStream(Tally(path)), AisMatcher(LocalPlane(54.3, 10.1))
+    for line in path.read_bytes().split(b"\n"):
+        for report in stream.add(line.decode("latin-1"), 1_717_236_000.0):
+            matcher.take(report)
+    matcher.identify(Moment(1_717_236_010.0, "arrival", "quay", ()))
+
+
+def _store(path: Path, _: Path) -> None:
+    for track in stored_tracks(path):
+        assert len(track)
+
+
+def _live_config(path: Path, _: Path) -> None:
+    read_live_config(path)
 
 
 def _boxes(path: Path, _: Path) -> None:
@@ -278,6 +302,9 @@ READERS: tuple[Reader, ...] = (
     Reader("log: GPX", _fixes, ("still/target.gpx",), XML, 4),
     Reader("log: NMEA 0183", _fixes, ("log.nmea",), SENTENCES, 4),
     Reader("log: AIS", _feed, ("feed.nmea", "one.nmea"), AIS, 4),
+    Reader("AIS receiver", _receiver, ("feed.nmea", "one.nmea"), AIS),
+    Reader("live: configuration", _live_config, ("live.toml",), TOML),
+    Reader("live: store", _store, ("live.db",), GEOPACKAGE),
     Reader("log: CSV", _fixes, ("log.csv",), TABLE, 3),
     Reader("log: CSV of AIS", _feed, ("ais.csv", "danish.csv"), TABLE, 3),
     Reader("log: JSON lines", _fixes, ("gpsd.json", "signalk.json"), JSON_LINES, 3),

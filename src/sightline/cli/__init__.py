@@ -19,7 +19,9 @@ from sightline.cli.demo import demo
 from sightline.cli.detect import detect
 from sightline.cli.detector import detector
 from sightline.cli.evaluate import evaluate
+from sightline.cli.export import export
 from sightline.cli.fit import fit
+from sightline.cli.live import live
 from sightline.cli.run import run
 from sightline.cli.simulate import simulate
 from sightline.cli.track import TrackCommand, track
@@ -44,8 +46,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, check, run, fit, compare, track, evaluate, detect, simulate):
-    app.command(cls=TrackCommand if command is track else None)(command)
+for command in (demo, check, run, fit, compare, track, live, export, evaluate, detect, simulate):
+    app.command(cls=TrackCommand if command in (track, export) else None)(command)
 app.add_typer(detector)
 
 

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from sightline.atomic import atomic_folder
 from sightline.errors import no_model_file, no_scene_file
-from sightline.text import terminal_text
+from sightline.text import terminal_text, without_secrets
 
 if TYPE_CHECKING:
     from sightline.evaluation.forecast import ForecastError
@@ -50,12 +50,13 @@ class Settings:
 
 def say(line: str = "") -> None:
     """Print a line without wrapping it; control characters in names are shown, not sent."""
-    stdout.print(terminal_text(line), soft_wrap=True, highlight=False, markup=False, emoji=False)
+    shown = terminal_text(without_secrets(line))
+    stdout.print(shown, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 
 def say_aside(head: str, message: str, style: str) -> None:
     """Print a message in one line on standard error, after a word in a colour."""
-    said = terminal_text(" ".join(message.split()))
+    said = terminal_text(without_secrets(" ".join(message.split())))
     line = Text.assemble((head, f"bold {style}"), f" {said}")
     stderr.print(line, soft_wrap=True, highlight=False)
 
@@ -63,7 +64,9 @@ def say_aside(head: str, message: str, style: str) -> None:
 def warn(line: str) -> None:
     """Print a warning to standard error, without wrapping it."""
     stderr.print(
-        f"[bold yellow]warning:[/] {escape(terminal_text(line))}", soft_wrap=True, highlight=False
+        f"[bold yellow]warning:[/] {escape(terminal_text(without_secrets(line)))}",
+        soft_wrap=True,
+        highlight=False,
     )
 
 

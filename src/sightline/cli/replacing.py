@@ -138,6 +138,8 @@ def _is_tracks(path: Path) -> bool:
     if suffix == ".geojson":
         empty = head.split() == _NO_TRACKS.encode().split()
         return empty or all(name in head for name in (b'"FeatureCollection"', *_TRACK_PROPERTIES))
+    if suffix == ".mfjson":
+        return head.startswith(b'{"type": "FeatureCollection", "crs"') and b"MovingPoint" in head
     if suffix in (".gpx", ".kml"):
         mark = b'creator="sightline"' if suffix == ".gpx" else b"<name>sightline</name>"
         return mark in head

@@ -20,6 +20,8 @@ from sightline.formats import _files, _track_table
 from sightline.formats._json_logs import coco_refusal, is_coco, is_json
 from sightline.formats._log_table import is_log_table, is_vessel_table
 from sightline.formats.ais import (
+    AisReport,
+    AisStream,
     AisVessel,
     read_ais,
     read_ais_dimensions,
@@ -37,6 +39,7 @@ from sightline.formats.gpx import gpx_track_writer, read_gpx, read_gpx_table, wr
 from sightline.formats.headings import read_headings
 from sightline.formats.horizons_csv import read_horizons_csv
 from sightline.formats.kml import kml_track_writer
+from sightline.formats.mfjson import mfjson_track_writer
 from sightline.formats.mot import iter_mot, mot_box_writer, write_mot
 from sightline.formats.nmea import read_nmea
 from sightline.formats.parquet import parquet_track_writer, read_parquet_table
@@ -47,6 +50,8 @@ from sightline.tally import Tally
 from sightline.types import Boxes, Fixes, Track
 
 __all__ = [
+    "AisReport",
+    "AisStream",
     "AisVessel",
     "BoxWriter",
     "TrackWriter",
@@ -105,6 +110,7 @@ _WRITERS: dict[str, Callable[[Path], AbstractContextManager[TrackWriter]]] = {
     ".csv": csv_track_writer,
     ".parquet": parquet_track_writer,
     ".gpkg": geopackage_track_writer,
+    ".mfjson": mfjson_track_writer,
 }
 _READERS: dict[str, Callable[[str | os.PathLike[str]], pd.DataFrame]] = {
     ".geojson": read_geojson_table,
@@ -308,8 +314,8 @@ def track_writer(path: str | os.PathLike[str]) -> Iterator[TrackWriter]:
     Tracks are written one by one, at a memory that does not grow with their number.
 
     Args:
-        path: Ends in .geojson, .gpx, .kml, .csv, .parquet or .gpkg; the last two need the extras
-            ``sightline[parquet]`` and ``sightline[geopackage]``.
+        path: Ends in .geojson, .gpx, .kml, .csv, .mfjson, .parquet or .gpkg; the last two need the
+            extras ``sightline[parquet]`` and ``sightline[geopackage]``.
 
     Raises:
         InputError: The ending is unknown, an extra is missing, or the file cannot be written.

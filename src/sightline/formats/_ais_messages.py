@@ -9,7 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from sightline.formats._sentences import ReceptionClock, Sentence, SentenceReader
+from sightline.formats._sentences import (
+    ReceptionClock,
+    Sentence,
+    SentenceReader,
+    sentences_in,
+)
 from sightline.formats.nmea import clock_s
 from sightline.tally import Tally
 
@@ -258,3 +263,39 @@ class _Assembly:
         self._waiting[key].remove(message)
         if not self._waiting[key]:
             del self._waiting[key]
+
+
+class MessageStream:
+    """Messages of sentences that come line by line, as from a receiver."""
+
+    def __init__(self, tally: Tally) -> None:
+        """Begin.
+
+        Args:
+            tally: Takes what is left out.
+        """
+        self._assembly, self._reception, self._tally = _Assembly(tally), ReceptionClock(), tally
+        self._line = 0
+
+    def add(self, text: str) -> Iterator[Message]:
+        """The messages that a line completes.
+
+        Args:
+            text: The line; a sentence in it that has no checksum, or a wrong one, is left out.
+        """
+        self._line += 1
+        for sentence in sentences_in(self._line, text, frozenset(_REPORTS)):
+            if not sentence.whole:
+                self._tally.leave_out("AIS sentences with a wrong checksum, or none")
+                continue
+            received_s = self._reception.time_s(sentence)
+            part = _Part.of(sentence, received_s)
+            parts = [] if part is None else self._assembly.add(part)
+            if parts:
+                times_s = [one.received_s for one in parts if one.received_s is not None]
+                yield Message(
+                    first=parts[0].sentence,
+                    payload="".join(one.payload for one in parts),
+                    fill_bits=parts[-1].fill_bits,
+                    received_s=times_s[0] if times_s else None,
+                )

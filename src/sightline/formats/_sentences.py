@@ -139,37 +139,46 @@ class SentenceReader:
 
     def _all(self) -> Iterator[Sentence]:
         for line, text in _files.log_lines(self._path):
-            if "$" not in text and "!" not in text:
-                continue
-            matches = list(_SENTENCE.finditer(text))
-            if not matches:
-                continue
-            ends = [match.start() for match in matches[1:]] + [len(text)]
-            for i, (match, end) in enumerate(zip(matches, ends, strict=True)):
-                body = match["body"] or match["bare"]
-                if body[2:5] not in self._kinds:
-                    continue
-                ahead = text[max(0, matches[0].start() - _MOST_AROUND) : matches[0].start()]
-                begin = max(matches[i - 1].end(), match.start() - _MOST_AROUND) if i else 0
-                between = text[begin : match.start()] if i else ""
-                after = text[match.end() : min(end, match.end() + _MOST_AROUND)]
-                tag = _TAG.search(between if i else ahead)
-                address, *fields = body.split(",")
-                yield Sentence(
-                    line=line,
-                    column=match.start(),
-                    text=match[0],
-                    address=address,
-                    fields=tuple(fields),
-                    whole=_whole(body, match["checksum"]),
-                    tag=tag[1] if tag else "",
-                    ahead=_TAG.sub("", ahead),
-                    between=_TAG.sub("", between),
-                    after=_TAG.sub("", after),
-                )
+            yield from sentences_in(line, text, self._kinds)
 
     def _leave_out(self, reason: str, sentence: Sentence) -> None:
         self._tally.leave_out(reason, row=sentence.row, text=sentence.text)
+
+
+def sentences_in(line: int, text: str, kinds: frozenset[str]) -> Iterator[Sentence]:
+    """The sentences of some kinds in a line, damaged ones among them.
+
+    Args:
+        line: Its number.
+        text: What stands in it.
+        kinds: Three letters each.
+    """
+    if "$" not in text and "!" not in text:
+        return
+    matches = list(_SENTENCE.finditer(text))
+    ends = [match.start() for match in matches[1:]] + [len(text)]
+    for i, (match, end) in enumerate(zip(matches, ends, strict=False)):
+        body = match["body"] or match["bare"]
+        if body[2:5] not in kinds:
+            continue
+        ahead = text[max(0, matches[0].start() - _MOST_AROUND) : matches[0].start()]
+        begin = max(matches[i - 1].end(), match.start() - _MOST_AROUND) if i else 0
+        between = text[begin : match.start()] if i else ""
+        after = text[match.end() : min(end, match.end() + _MOST_AROUND)]
+        tag = _TAG.search(between if i else ahead)
+        address, *fields = body.split(",")
+        yield Sentence(
+            line=line,
+            column=match.start(),
+            text=match[0],
+            address=address,
+            fields=tuple(fields),
+            whole=_whole(body, match["checksum"]),
+            tag=tag[1] if tag else "",
+            ahead=_TAG.sub("", ahead),
+            between=_TAG.sub("", between),
+            after=_TAG.sub("", after),
+        )
 
 
 def _whole(body: str, checksum: str | None) -> bool | None:

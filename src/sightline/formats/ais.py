@@ -19,7 +19,7 @@ import pyais.messages
 
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
-from sightline.formats._ais_messages import Message, read_messages
+from sightline.formats._ais_messages import Message, MessageStream, read_messages
 from sightline.formats._ais_table import Report, read_table_reports
 from sightline.formats._log_table import is_vessel_table
 from sightline.formats._sentences import ReceptionClock
@@ -182,6 +182,77 @@ def read_ais_dimensions(
         return None
     own.count("reports of dimensions", told.total())
     return told.most_common(1)[0][0]
+
+
+@dataclass(frozen=True, slots=True)
+class AisReport:
+    """What a vessel says of itself in one message.
+
+    Attributes:
+        mmsi: Of the vessel.
+        time_utc_s: POSIX seconds; NaN in a message that tells no place.
+        latitude_deg: Degrees north; NaN in a message that tells no place.
+        longitude_deg: Degrees east.
+        velocity_mps: East and north; NaN where it tells none.
+        name: Its name; empty in a message that tells none.
+    """
+
+    mmsi: int
+    time_utc_s: float
+    latitude_deg: float
+    longitude_deg: float
+    velocity_mps: tuple[float, float]
+    name: str = ""
+
+
+class AisStream:
+    """Reports of vessels, of sentences that come line by line, as from a receiver."""
+
+    def __init__(self, tally: Tally) -> None:
+        """Begin.
+
+        Args:
+            tally: Counts position reports, and what is left out.
+        """
+        self._messages, self._tally = MessageStream(tally), tally
+
+    def add(self, text: str, now_utc_s: float | None) -> list[AisReport]:
+        """The reports that a line completes.
+
+        Args:
+            text: The line.
+            now_utc_s: When it was received, where the line does not say so itself; None: what
+                does not is left out.
+        """
+        found = []
+        for message in self._messages.add(text):
+            report = _decoded(message)
+            if report is None or report.mmsi is None:
+                self._tally.leave_out("AIS messages that cannot be read")
+                continue
+            name = str(getattr(report, "shipname", None) or "").strip(" @")
+            nan = float("nan")
+            told = AisReport(int(report.mmsi), nan, nan, nan, (nan, nan), name)
+            received_s = now_utc_s if message.received_s is None else message.received_s
+            if isinstance(report, _POSITION_REPORTS):
+                reason = _no_place(report) or ("" if received_s is not None else _UNTIMED)
+                if reason or received_s is None:
+                    self._tally.leave_out(reason)
+                    continue
+                second = getattr(report, "second", 60)
+                told = AisReport(
+                    told.mmsi,
+                    _refined_s(received_s, second) if second < 60 else received_s,
+                    float(report.lat),
+                    float(report.lon),
+                    _velocity_mps(report),
+                    name,
+                )
+                self._tally.count("position reports")
+            elif not name:
+                continue
+            found.append(told)
+        return found
 
 
 def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[Report]]:

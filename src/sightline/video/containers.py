@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
@@ -45,6 +45,11 @@ _STREAMS = {
     "http": ("http,https,httpproxy," + _TLS, "hls"),
     "https": ("https,httpproxy," + _TLS, "hls"),
 }
+# With FFmpeg's own the first pictures come a second late; with nobuffer the first key picture is
+# lost, and all up to the next with it.
+_RTSP_OPTIONS = {"rtsp_transport": "tcp", "analyzeduration": "100000", "probesize": "32"}
+_STREAM_OPTIONS = {"analyzeduration": "1000000"}
+_DEVICE = "v4l2"
 LIVE_SCHEMES = tuple(scheme for scheme in _STREAMS if not scheme.startswith("http"))
 """Schemes of addresses that are streams without an end."""
 
@@ -77,6 +82,54 @@ def open_container(name: str) -> av.container.InputContainer:
     return _opened(name, f"file:{name}", "file", _FILE_FORMATS, None)
 
 
+def open_camera(
+    address: str,
+    name: str,
+    *,
+    options: Mapping[str, str] | None = None,
+    timeout_s: tuple[float, float] = (OPEN_TIMEOUT_S, SILENCE_TIMEOUT_S),
+) -> av.container.InputContainer:
+    """Open a camera to be watched: with as little delay as its kind of stream allows.
+
+    Args:
+        address: Of a stream, or a video device (`/dev/video0`).
+        name: What messages call it; an address may hold a password.
+        options: Of FFmpeg, beside those that are set here, or instead of them.
+        timeout_s: How long it may take to answer, and then be silent.
+
+    Raises:
+        InputError: It is no such address, does not answer, or sends nothing that is read.
+    """
+    scheme = check_camera(address, name)
+    if scheme == _DEVICE:
+        return _opened(name, address, "file", "v4l2,video4linux2", timeout_s, options or {})
+    protocols, formats = _STREAMS[scheme]
+    wanted = dict(_RTSP_OPTIONS if scheme.startswith("rtsp") else _STREAM_OPTIONS)
+    wanted.update(options or {})
+    return _opened(
+        name, address, protocols, f"{_FILE_FORMATS},{formats}".rstrip(","), timeout_s, wanted
+    )
+
+
+def check_camera(address: str, name: str) -> str:
+    """Scheme of a camera's address; ``"v4l2"`` of a video device.
+
+    Raises:
+        InputError: It is no address of a camera.
+    """
+    if not is_address(address) and address.startswith("/dev/"):
+        if not os.path.exists(address):
+            raise InputError(f"{name}: there is no such video device")
+        return _DEVICE
+    scheme = address.split("://", 1)[0].lower() if is_address(address) else ""
+    if scheme not in _STREAMS or not address.split("://", 1)[1]:
+        raise InputError(
+            f"{name}: is no address of a camera; known are those that begin with "
+            f"{', '.join(f'{known}://' for known in _STREAMS)}, and video devices (/dev/video0)"
+        )
+    return scheme
+
+
 def _check_file(name: str) -> None:
     path = Path(name)
     # os.path answers where pathlib raises: for a name that is too long.
@@ -97,10 +150,12 @@ def _opened(
     protocols: str,
     formats: str,
     timeout: tuple[float, float] | None,
+    options: Mapping[str, str] | None = None,
 ) -> av.container.InputContainer:
     try:
         container = av.open(
             url,
+            format=formats.split(",")[0] if formats.startswith("v4l2") else None,
             # Old cameras write names and comments in the bytes of their country.
             metadata_errors="replace",
             options={"max_pixels": str(MOST_PIXELS)},
@@ -110,6 +165,7 @@ def _opened(
                 "enable_drefs": "0",
                 # Pictures that are waited for to learn the frame rate would all arrive at once.
                 **({"fpsprobesize": "0"} if timeout else {}),
+                **(options or {}),
             },
             timeout=timeout,
         )

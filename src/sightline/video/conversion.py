@@ -39,9 +39,7 @@ class Conversion:
         Raises:
             BrokenOffError: It has another size.
         """
-        width, height = self._stored_px(picture)
-        if _turn(picture)[0]:
-            width, height = height, width
+        width, height = self.shown_px(picture)
         if self.size_px is None:
             self.size_px = width, height
             if self._aspect != 1:
@@ -56,6 +54,11 @@ class Conversion:
                 f"those before {self.size_px[0]} x {self.size_px[1]} px; two cameras, or two "
                 "settings of one, are two recordings: cut it there"
             )
+
+    def shown_px(self, picture: av.VideoFrame) -> tuple[int, int]:
+        """Width and height of a frame as it is shown."""
+        width, height = self._stored_px(picture)
+        return (height, width) if _turn(picture)[0] else (width, height)
 
     def to_bgr(self, picture: av.VideoFrame) -> NDArray[np.uint8]:
         """(H, W, 3) of a frame."""

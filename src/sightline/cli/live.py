@@ -1,0 +1,457 @@
+"""`sightline live`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from sightline import signals
+from sightline.cli.common import check_model_is_there, say, say_aside
+from sightline.cli.defaults import DEFAULT_DETECTOR
+from sightline.cli.options import (
+    AreaOption,
+    BudgetOption,
+    ClassesOption,
+    ClockOption,
+    EnlargeOption,
+    MaskOption,
+    StartOption,
+    ThresholdOption,
+    ViewsOption,
+    detector_options,
+)
+from sightline.cli.parsing import parse_time
+from sightline.errors import InputError, SightlineError
+from sightline.stopping import Stop, call
+
+if TYPE_CHECKING:
+    from sightline.georeferencing.georeferencer import Georeferencer
+    from sightline.live.config import LiveTable
+    from sightline.live.journal import Journal
+    from sightline.live.moment import Feed
+    from sightline.live.run import Camera
+    from sightline.live.source import CameraSource, PlayedSource, SourceEvent
+    from sightline.live.store import Store
+    from sightline.web.server import LiveServer
+
+_Kind = Literal["nmea", "signalk", "cot", "mqtt"]
+_KINDS: tuple[_Kind, ...] = ("nmea", "signalk", "cot", "mqtt")
+
+_Addresses = list[str] | None
+
+
+def _feed_option(name: str, what: str) -> typer.models.OptionInfo:
+    option: typer.models.OptionInfo = typer.Option(
+        name, metavar="URL", help=f"{what} May be given several times."
+    )
+    return option
+
+
+def live(
+    source: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A camera's address (rtsp://, rtmp://, srt://, http://, udp://), a video device, "
+            "or with --as-live a video or a folder of frames.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option(metavar="MODEL", help="The fitted model of the camera.")
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="live.toml: all of this, and more; options go first."),
+    ] = None,
+    serve: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Serve the page and the moments.")
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keep the tracks; see sightline export.")
+    ] = None,
+    ais: Annotated[
+        str | None,
+        typer.Option(metavar="SOURCE", help="AIS beside it: a file that grows, tcp://, udp://."),
+    ] = None,
+    nmea: Annotated[_Addresses, _feed_option("--nmea", "NMEA 0183 TLL: tcp://, udp://.")] = None,
+    signalk: Annotated[_Addresses, _feed_option("--signalk", "Signal K deltas.")] = None,
+    cot: Annotated[_Addresses, _feed_option("--cot", "Cursor-on-Target, for TAK.")] = None,
+    mqtt: Annotated[_Addresses, _feed_option("--mqtt", "One message a moment.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Try source, model and outputs, and watch nothing.")
+    ] = False,
+    camera: Annotated[
+        str | None, typer.Option("--name", metavar="NAME", help="Of the camera.")
+    ] = None,
+    as_live: Annotated[
+        bool, typer.Option("--as-live", help="Play a recording at its own pace.")
+    ] = False,
+    speed: Annotated[
+        float | None,
+        typer.Option(metavar="FACTOR", help="How much faster a recording is played.", min=0.01),
+    ] = None,
+    clock: ClockOption = None,
+    start_utc: StartOption = None,
+    credentials: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="USER:PASSWORD of the camera in its first line; absent: SIGHTLINE_CREDENTIALS "
+            "in the environment.",
+        ),
+    ] = None,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Token of the page; absent: SIGHTLINE_TOKEN in the environment."
+        ),
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Log as JSON lines; - for standard error."),
+    ] = None,
+    mask: MaskOption = None,
+    area: AreaOption = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE.onnx", help="motion, harbour, or a detector in an ONNX file."
+        ),
+    ] = None,
+    classes: ClassesOption = None,
+    threshold: ThresholdOption = None,
+    views: ViewsOption = None,
+    enlarge: EnlargeOption = None,
+    budget: BudgetOption = None,
+) -> None:
+    """Watch a camera, and publish where its targets are.
+
+    Ctrl-C or SIGTERM ends it within three seconds; what is kept is finished.
+    """
+    with signals.stoppable() as stop:
+        # There is always something to finish.
+        stop.begun = True
+        from sightline.live.config import LiveTable, read_live_config
+
+        table = read_live_config(config) if config is not None else LiveTable()
+        _override(table, "source", address=source, credentials=credentials, speed=speed)
+        _override(table, "source", frame_clock=clock, start_utc=start_utc, as_live=as_live or None)
+        _override(table, "detector", name=detector, threshold=threshold, views=views)
+        _override(table, "detector", enlarge=enlarge, budget_ms=budget)
+        _override(table, "detector", classes=classes.split(",") if classes else None)
+        _override(table, "store", file=store)
+        _override(table, "server", address=serve, token_file=token_file)
+        _override(table, "ais", source=ais)
+        _override(table, "log", file=log)
+        _override(table, "feeds", nmea=nmea, signalk=signalk, cot=cot, mqtt=mqtt)
+        _override(table, "", model=model, camera=camera, mask=mask)
+        _override(table, "", area=[str(path) for path in area] if area else None)
+        where = config or Path("live.toml")
+        if table.source.address is None:
+            raise InputError(
+                f"no source is given; give a camera's address, or address in {where} ([source])"
+            )
+        if table.model is None:
+            raise InputError(f"no model is given; give --model MODEL, or model in {where}")
+        check_model_is_there(Path(table.model))
+        with ExitStack() as stack:
+            session = _Session(table, stack)
+            if check:
+                session.check()
+                return
+            session.watch(stop)
+
+
+def _override(table: LiveTable, section: str, **options: object) -> None:
+    """Put the options that were given into the place of what the configuration has."""
+    where = getattr(table, section) if section else table
+    for name, value in options.items():
+        if value is not None:
+            setattr(where, name, str(value) if isinstance(value, Path) else value)
+
+
+class _Session:
+    """One watching: everything is opened in the order in which it can be refused."""
+
+    def __init__(self, table: LiveTable, stack: ExitStack) -> None:
+        from sightline.georeferencing.georeferencer import load_model
+        from sightline.live.journal import Journal, JournalHandler
+        from sightline.text import without_secrets
+
+        self._table, self._stack = table, stack
+        self._address = table.source.address or ""
+        self._name = without_secrets(self._address)
+        _check_addresses(table)
+        self._model: Georeferencer = load_model(Path(table.model or ""))
+        self._journal: Journal = Journal(Path(table.log.file) if table.log.file else None)
+        stack.callback(self._journal.close)
+        handler = JournalHandler(self._journal)
+        logging.getLogger("sightline").addHandler(handler)
+        stack.callback(logging.getLogger("sightline").removeHandler, handler)
+        self._camera = self._made_camera()
+        self._source = self._made_source()
+        stack.callback(self._source.close)
+
+    def check(self) -> None:
+        """Try everything, and say what is wrong.
+
+        Raises:
+            InputError: Something is.
+        """
+        table, wrong = self._table, []
+        say(f"model: {table.model}, {self._model.model}, for pictures of {self._size()} px")
+
+        def attempt(what: str, action: Callable[[], str]) -> None:
+            try:
+                say(f"{what}: {action()}")
+            except SightlineError as error:
+                wrong.append(str(error))
+
+        attempt("source", self._probed)
+        for kind in _KINDS:
+            for url in getattr(table.feeds, kind):
+                attempt(kind, lambda kind=kind, url=url: self._tried(kind, url))  # type: ignore[misc]
+        if table.store.file is not None:
+            attempt("store", self._tried_store)
+        if table.server.address is not None:
+            attempt("page", self._tried_server)
+        if wrong:
+            raise InputError("; ".join(wrong))
+        say("all is well")
+
+    def watch(self, stop: Stop) -> None:
+        """Watch until somebody asks to stop."""
+        from sightline.live.ais import AisMatcher, AisReceiver
+        from sightline.live.run import EarlierRun, LiveRun
+        from sightline.live.store import Keeper
+
+        table = self._table
+        store = self._opened_store()
+        keeper = None
+        earlier = EarlierRun()
+        if store is not None:
+            earlier = EarlierRun(store.highest_id(), store.kept_state())
+            keeper = Keeper(
+                store,
+                retention_days=table.store.retention_days,
+                told=lambda text: self.told("store", text),
+            )
+        feeds: dict[str, Feed] = {}
+        for kind in _KINDS:
+            for url in getattr(table.feeds, kind):
+                feed = feeds[_free(kind, feeds)] = self._opened_feed(kind, url)
+                # Where it comes to nothing; closed by then, it does nothing.
+                self._stack.callback(feed.close)
+        call(self._probed, stop)
+        matcher = None
+        if table.ais.source is not None:
+            matcher = AisMatcher(self._model.plane)
+            receiver = AisReceiver(table.ais.source, matcher)
+            self._stack.callback(receiver.close)
+            receiver.start()
+        run = LiveRun(
+            self._source,
+            self._camera,
+            feeds=feeds,
+            keeper=keeper,
+            earlier=earlier,
+            told=self.told,
+            ais=matcher,
+        )
+        if table.server.address is not None:
+            server = self._opened_server(run.health, run.picture)
+            run.add_feed("page", server)
+            server.start()
+        say(f"watching {self._name}; Ctrl-C ends it")
+        run.run(stop)
+        health = run.health()
+        say(
+            f"watched for {health['uptime_s']} s: {health['frames_seen']} frames, "
+            f"{health['frames_processed']} processed, {health['frames_left_out']} left out, "
+            f"{health['reconnections']} reconnections"
+        )
+
+    def told(self, kind: str, text: str) -> None:
+        """Log an event, and show it where nobody asked for a log on standard error."""
+        self._journal.write(kind, text)
+        if self._table.log.file != "-" and kind not in ("status", "connected"):
+            say_aside(f"{kind}:", text, "yellow")
+
+    def _event(self, event: SourceEvent) -> None:
+        self.told(event.kind, event.text)
+
+    def _size(self) -> str:
+        width, height = self._model.image_size_px
+        return f"{width} x {height}"
+
+    def _made_camera(self) -> Camera:
+        from sightline import formats
+        from sightline.live.run import Camera
+        from sightline.live.state import StateSettings
+        from sightline.pipeline.sources import make_detector
+        from sightline.video.mask import read_mask
+
+        table = self._table
+        if self._model.moving:
+            raise InputError(
+                f"{table.model}: is the model of a camera on a platform that moves, which cannot "
+                "be watched live; give one of a camera that stands still"
+            )
+        self._model.check_water(table.water_level_m is not None, f"{table.model}: ")
+        mask = read_mask(table.mask) if table.mask else None
+        if mask is not None:
+            mask.check_size(self._model.image_size_px, "the model")
+        options = table.detector
+        looking = detector_options(
+            None,
+            ",".join(options.classes) if options.classes else None,
+            options.threshold,
+            None,
+            options.views,
+            enlarge=options.enlarge,
+            budget=options.budget_ms,
+        )
+        return Camera(
+            name=table.camera,
+            model=self._model,
+            detector=make_detector(options.name or DEFAULT_DETECTOR, self._model, looking),
+            mask=mask,
+            area=formats.read_area([Path(one) for one in table.area]) if table.area else None,
+            water_level_m=table.water_level_m,
+            targets=StateSettings(**table.targets.model_dump()),
+            silent_s=table.source.silent_s,
+        )
+
+    def _made_source(self) -> CameraSource | PlayedSource:
+        from sightline import formats
+        from sightline.live.config import with_credentials
+        from sightline.live.source import CameraSource, PlayedSource, SourceSettings
+        from sightline.video.containers import check_camera
+
+        own = self._table.source
+        settings = SourceSettings(
+            size_px=self._model.image_size_px,
+            options=own.options,
+            clock=own.clock,
+            largest_clock_error_s=own.largest_clock_error_s,
+            open_s=own.open_s,
+            silent_s=own.silent_s,
+            frozen_s=own.frozen_s,
+            black_s=own.black_s,
+            longest_wait_s=own.longest_wait_s,
+        )
+        if own.as_live:
+            if "://" in self._address or not Path(self._address).exists():
+                raise InputError(f"{self._name}: there is no such video or folder to be played")
+            return PlayedSource(
+                Path(self._address),
+                settings,
+                self._event,
+                clock=formats.read_clock(own.frame_clock) if own.frame_clock else None,
+                start_utc_s=parse_time("--start-utc", own.start_utc),
+                speed=own.speed,
+            )
+        if "://" not in self._address and Path(self._address).is_file():
+            raise InputError(
+                f"{self._name}: is a recording, no camera; give --as-live to have it played as one"
+            )
+        check_camera(self._address, self._name)
+        address = with_credentials(self._address, own.credentials)
+        return CameraSource(address, settings, self._event)
+
+    def _probed(self) -> str:
+        size_px = self._source.probe()
+        if size_px != self._model.image_size_px:
+            raise InputError(
+                f"{self._name}: its pictures have {size_px[0]} x {size_px[1]} px, the model "
+                f"learned from {self._size()} px; fit one to pictures of this size"
+            )
+        return f"{self._name}, {size_px[0]} x {size_px[1]} px"
+
+    def _opened_feed(self, kind: _Kind, url: str) -> Feed:
+        from sightline.live.feeds import open_feed
+
+        feed: Feed = open_feed(url, kind=kind, camera=self._table.camera)
+        return feed
+
+    def _tried(self, kind: _Kind, url: str) -> str:
+        from sightline.text import without_secrets
+
+        self._opened_feed(kind, url).close()
+        return without_secrets(url)
+
+    def _opened_store(self) -> Store | None:
+        from sightline.live.store import Store
+
+        if self._table.store.file is None:
+            return None
+        return Store(self._table.store.file, camera=self._table.camera, plane=self._model.plane)
+
+    def _tried_store(self) -> str:
+        from sightline.live.store import check_store
+
+        path = Path(self._table.store.file or "")
+        if path.exists():
+            # It may be in use.
+            check_store(path)
+            return f"{path}"
+        store = self._opened_store()
+        if store is not None:
+            store.close()
+        return f"{path}, made"
+
+    def _opened_server(
+        self,
+        health: Callable[[], dict[str, object]] | None,
+        picture: Callable[[], bytes | None] | None,
+    ) -> LiveServer:
+        from sightline.live.config import page_token
+        from sightline.web.server import LiveServer
+
+        table = self._table
+        return LiveServer(
+            table.server.address or "",
+            token=page_token(table.server.token_file),
+            health=health,
+            picture=picture,
+            store=Path(table.store.file) if table.store.file else None,
+        )
+
+    def _tried_server(self) -> str:
+        server = self._opened_server(None, None)
+        server.start()
+        server.close()
+        return f"http://{self._table.server.address}"
+
+
+def _free(kind: str, used: dict[str, Feed]) -> str:
+    number = sum(name == kind or name.startswith(f"{kind}-") for name in used)
+    return kind if number == 0 else f"{kind}-{number + 1}"
+
+
+def _check_addresses(table: LiveTable) -> None:
+    """Raise where an address is none, before anything is loaded.
+
+    Raises:
+        InputError: One is.
+    """
+    if table.server.address is not None:
+        host, colon, port = table.server.address.rpartition(":")
+        if not colon or not host or not port.isdecimal() or not int(port) < 65536:
+            raise InputError(
+                f"--serve {table.server.address!r}: expected HOST:PORT, for example 127.0.0.1:8080"
+            )
+    if table.ais.source is not None:
+        from sightline.live.ais import check_ais
+
+        check_ais(table.ais.source)
+    for kind in _KINDS:
+        for url in getattr(table.feeds, kind):
+            if "://" not in url:
+                raise InputError(f"--{kind} {url!r}: is no address; expected for example tcp://...")

@@ -1,0 +1,241 @@
+"""`live.toml`: what a camera is watched with, checked before anything is opened."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+from urllib.parse import quote, urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sightline.errors import InputError
+from sightline.text import without_secrets
+
+CREDENTIALS = "SIGHTLINE_CREDENTIALS"
+"""Environment variable with a camera's user and password, ``USER:PASSWORD``."""
+TOKEN = "SIGHTLINE_TOKEN"  # noqa: S105 - the name of the variable
+"""Environment variable with the token of the page."""
+
+_LONGEST = 80
+
+Seconds = Annotated[float, Field(gt=0.0, le=86_400.0)]
+
+
+class Table(BaseModel):
+    """A table of keys and values in which no other key may stand."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class SourceTable(Table):
+    """`[source]`."""
+
+    address: str | None = None
+    credentials: str | None = None
+    options: dict[str, str] = {}
+    clock: Literal["auto", "sender", "arrival"] = "auto"
+    largest_clock_error_s: Seconds = 30.0
+    open_s: Seconds = 10.0
+    silent_s: Seconds = 5.0
+    frozen_s: Seconds = 10.0
+    black_s: Seconds = 5.0
+    longest_wait_s: Seconds = 5.0
+    as_live: bool = False
+    frame_clock: str | None = None
+    start_utc: str | None = None
+    speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 1.0
+
+
+class DetectorTable(Table):
+    """`[detector]`."""
+
+    name: str | None = None
+    classes: list[str] | None = None
+    threshold: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    views: str | None = None
+    enlarge: Annotated[float, Field(gt=0.0)] | None = None
+    budget_ms: Annotated[float, Field(gt=0.0)] | None = None
+
+
+class TargetsTable(Table):
+    """`[targets]`; see `sightline.live.state.StateSettings`."""
+
+    shown_s: Seconds = 10.0
+    gone_s: Seconds = 20.0
+    lag_s: Seconds = 5.0
+    smooth_every_s: Seconds = 4.0
+    moored_after_s: Seconds = 30.0
+    moored_mps: Annotated[float, Field(gt=0.0)] = 0.5
+
+
+class StoreTable(Table):
+    """`[store]`."""
+
+    file: str | None = None
+    retention_days: Annotated[float, Field(gt=0.0)] | None = None
+
+
+class ServerTable(Table):
+    """`[server]`."""
+
+    address: str | None = None
+    token_file: str | None = None
+
+
+class FeedsTable(Table):
+    """`[feeds]`."""
+
+    nmea: list[str] = []
+    signalk: list[str] = []
+    cot: list[str] = []
+    mqtt: list[str] = []
+
+
+class AisTable(Table):
+    """`[ais]`."""
+
+    source: str | None = None
+
+
+class LogTable(Table):
+    """`[log]`."""
+
+    file: str | None = None
+
+
+class LiveTable(Table):
+    """All of `live.toml`."""
+
+    camera: str = "camera"
+    model: str | None = None
+    mask: str | None = None
+    area: list[str] = []
+    water_level_m: float | None = None
+    source: SourceTable = SourceTable()
+    detector: DetectorTable = DetectorTable()
+    targets: TargetsTable = TargetsTable()
+    store: StoreTable = StoreTable()
+    server: ServerTable = ServerTable()
+    feeds: FeedsTable = FeedsTable()
+    ais: AisTable = AisTable()
+    log: LogTable = LogTable()
+
+
+_PATHS = (
+    ("", "model"),
+    ("", "mask"),
+    ("source", "credentials"),
+    ("source", "frame_clock"),
+    ("store", "file"),
+    ("server", "token_file"),
+    ("log", "file"),
+)
+
+
+def read_live_config(path: Path) -> LiveTable:
+    """Read and check `live.toml`; paths in it are relative to it.
+
+    Raises:
+        InputError: There is no such file, it is no TOML, or a key or a value cannot stand there.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: there is no such configuration") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is not text in UTF-8, so it is no configuration") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is no TOML: {_shortened(str(error))}") from error
+    try:
+        table = LiveTable.model_validate(content)
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error)}") from error
+    return _resolved(table, path.parent)
+
+
+def _resolved(table: LiveTable, folder: Path) -> LiveTable:
+    content = table.model_dump()
+    for section, key in _PATHS:
+        where = content[section] if section else content
+        if where[key] is not None and where[key] != "-":
+            where[key] = str(folder / where[key])
+    content["area"] = [str(folder / one) for one in content["area"]]
+    address = content["source"]["address"]
+    if address is not None and "://" not in address:
+        content["source"]["address"] = str(folder / address)
+    source = content["ais"]["source"]
+    if source is not None and "://" not in source:
+        content["ais"]["source"] = str(folder / source)
+    return LiveTable.model_validate(content)
+
+
+def _first_problem(error: ValidationError) -> str:
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    problem = problems[0]
+    where = ".".join(_shortened(str(step)) for step in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        model: type[BaseModel] = LiveTable
+        for step in problem["loc"][:-1]:
+            default = model.model_fields[str(step)].default
+            if isinstance(default, BaseModel):
+                model = type(default)
+        return f"unknown key {where}; known are {', '.join(model.model_fields)}"
+    message = problem["msg"][0].lower() + problem["msg"][1:]
+    given = problem["input"]
+    if isinstance(given, str | int | float | list):
+        message += f"; it is {_shortened(without_secrets(repr(given)))}"
+    return f"{where}: {message}"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+
+
+def with_credentials(address: str, file: str | None) -> str:
+    """An address with the user and password of a file, or else of the environment.
+
+    Args:
+        address: Of a camera; one that names a user already stays as it is.
+        file: Holds ``USER:PASSWORD`` in its first line; None: the environment tells, if anything.
+
+    Raises:
+        InputError: The file cannot be read, or holds something else.
+    """
+    told = os.environ.get(CREDENTIALS)
+    where = CREDENTIALS
+    if file is not None:
+        where = file
+        told = _first_line(file)
+    if told is None or "://" not in address or "@" in urlsplit(address).netloc:
+        return address
+    user, colon, password = told.partition(":")
+    if not colon or not user:
+        raise InputError(f"{where}: expected USER:PASSWORD")
+    scheme, rest = address.split("://", 1)
+    return f"{scheme}://{quote(user, safe='')}:{quote(password, safe='')}@{rest}"
+
+
+def page_token(file: str | None) -> str | None:
+    """The token of the page, of a file or else of the environment; None where there is none.
+
+    Raises:
+        InputError: The file cannot be read, or is empty.
+    """
+    if file is None:
+        return os.environ.get(TOKEN) or None
+    token = _first_line(file)
+    if not token:
+        raise InputError(f"{file}: is empty; expected a token in its first line")
+    return token
+
+
+def _first_line(file: str) -> str:
+    try:
+        return Path(file).read_text(encoding="utf-8").partition("\n")[0].strip()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "is not text in UTF-8"
+        raise InputError(f"{file}: cannot be read: {reason}") from error

@@ -1,0 +1,1 @@
+"""The pages: a live map in the browser, and what it reads."""
