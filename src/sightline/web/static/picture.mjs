@@ -20,6 +20,7 @@ export class Picture {
     this.chosen = null;
     this.bitmap = null;
     this.frame = null;
+    this.offered = false;
     canvas.addEventListener("click", (event) => choose(this.at(event)));
     this.ask();
   }
@@ -35,6 +36,9 @@ export class Picture {
   }
 
   async fetch() {
+    // Where there will be none, it is not asked for.
+    this.offered ||= (await (await fetch("/api/about", { cache: "no-store" })).json()).picture;
+    if (!this.offered) return false;
     const answer = await fetch("/picture.jpg", { cache: "no-store" });
     if (!answer.ok) {
       this.figure.hidden = true;
