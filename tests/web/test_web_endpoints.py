@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 from pathlib import Path
@@ -10,12 +11,12 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
-from web_moments import HOSTILE, moment, target
+from web_moments import HOSTILE, START, moment, target
 
 from sightline.errors import InputError
 from sightline.web.access import HEADERS, Guard, TokenBucket
 from sightline.web.app import build_app
-from sightline.web.hub import Hub
+from sightline.web.hub import Hub, Listener
 from sightline.web.server import LiveServer
 
 TOKEN = "a token of some length"
@@ -246,11 +247,11 @@ def test_a_link_does_not_lead_to_another_host() -> None:
 def test_only_pages_of_ours_open_the_stream(origin: str | None, allowed: bool) -> None:
     hub = Hub()
     hub.publish(moment())
-    headers = {} if origin is None else {"origin": origin}
+    headers = {"host": "127.0.0.1:8080"} | ({} if origin is None else {"origin": origin})
     asked = client(hub)
     if allowed:
-        with asked.websocket_connect("/ws", headers={**headers, "host": "127.0.0.1:8080"}) as one:
-            assert one.receive_json()["camera"] == "dock"
+        with asked.websocket_connect("/ws", headers=headers) as stream:
+            assert stream.receive_json()["camera"] == "dock"
     else:
         with pytest.raises(WebSocketDisconnect), asked.websocket_connect("/ws", headers=headers):
             pass
@@ -312,3 +313,19 @@ def test_the_shore_is_shown_as_it_was_given(tmp_path: Path) -> None:
     server = LiveServer("127.0.0.1:0", shore=tmp_path / "shore.geojson")
     assert client(server.hub).get("/shore.geojson").json() == shore
     assert client().get("/shore.geojson").status_code == 404
+
+
+def test_one_that_listens_slowly_has_the_two_newest() -> None:
+    async def listen() -> list[float | None]:
+        listener = Listener()
+        moments = [moment(float(i)) for i in range(5)]
+        # The newest comes again where it arrived while the listener was let in.
+        kept = [listener.offer(one) for one in (*moments, moments[-1])]
+        assert kept == [True, True, False, False, False, True]
+        assert listener.dropped == 3
+        first, second = await listener.next(), await listener.next()
+        listener.close()
+        assert await listener.next() is None
+        return [one and one.time_utc_s - START for one in (first, second)]
+
+    assert asyncio.run(listen()) == [3.0, 4.0]

@@ -121,3 +121,22 @@ def test_one_that_hangs_up_is_forgotten() -> None:
             read_lines(reader, 1)
         until(lambda: len(feed.transport._clients) == 1)
     feed.close()
+
+
+def test_a_port_is_listened_at_again_after_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    feed = open_feed("tcp://127.0.0.1:0", kind="nmea", camera="dock")
+    until(lambda: feed.connected)
+    feed._pause_s = 0.01
+    accept = feed.transport._accept
+
+    def fail() -> None:
+        monkeypatch.setattr(feed.transport, "_accept", accept)
+        raise OSError("out of memory")
+
+    monkeypatch.setattr(feed.transport, "_accept", fail)
+    feed.publish(moment(0.0))
+    until(lambda: feed.connections == 2)
+    with socket.create_connection(("127.0.0.1", feed.transport.port)) as reader:
+        feed.publish(moment(1.0))
+        assert read(read_lines(reader, 1)[0]).timestamp.second == 1
+    feed.close()

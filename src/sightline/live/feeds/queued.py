@@ -151,7 +151,14 @@ class QueuedFeed:
                     return
                 moment = self._waiting.popleft()
             try:
-                self.transport.send(self._encode(moment))
+                messages = self._encode(moment)
+            except Exception:
+                # Not the network's fault but ours: the others are sent all the same.
+                self.lost += 1
+                _logger.exception("feed %s: a moment cannot be written", self.name)
+                continue
+            try:
+                self.transport.send(messages)
             except BaseException:
                 self.lost += 1
                 raise
@@ -169,7 +176,7 @@ class QueuedFeed:
     def _failed(self, error: Exception) -> None:
         """Say it once an outage, and wait, a little longer each time."""
         if not isinstance(error, OSError):
-            # Not the network's fault but ours: the camera goes on all the same.
+            # A bug, and no reason for the camera to stop.
             _logger.error("feed %s: %r", self.name, error, exc_info=error)
         elif not self._told and not self._closing:
             _logger.warning(

@@ -147,7 +147,6 @@ class WebSocketTransport:
                     additional_headers=self._headers,
                     open_timeout=_OPEN_S,
                     close_timeout=0.3,
-                    proxy=None,
                 )
             )
         except InvalidHandshake as error:

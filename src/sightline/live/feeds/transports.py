@@ -133,6 +133,7 @@ class TcpServerTransport:
                 host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
             )[0]
             self._listener = socket.create_server((host, port), family=family)
+            self._family = family
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise InputError(
@@ -141,6 +142,7 @@ class TcpServerTransport:
             ) from error
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
+        self._place = (host, self.port)
         self._clients: list[_Client] = []
 
     @property
@@ -148,8 +150,11 @@ class TcpServerTransport:
         """Batches that clients who are connected now were too slow for."""
         return sum(client.lost for client in self._clients)
 
-    def open(self, stopping: threading.Event) -> None:
-        """Nothing: it listens already."""
+    def open(self, stopping: threading.Event) -> None:  # noqa: ARG002
+        """Listen again where it was closed; at first it listens already."""
+        if self._listener.fileno() < 0:
+            self._listener = socket.create_server(self._place, family=self._family)
+            self._listener.setblocking(False)
 
     def send(self, messages: Sequence[bytes]) -> None:
         """Send messages to all that are connected, and take in those that have come."""
