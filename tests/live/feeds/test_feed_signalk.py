@@ -95,6 +95,11 @@ def test_a_websocket_is_opened_with_the_token_and_opened_again_when_the_server_r
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("SIGHTLINE_SIGNALK_TOKEN", "geheim")
+    # The receiver is reached, and no proxy.
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.delenv("NO_PROXY", raising=False)
     port = free_port()
     server = Server(port, "geheim")
     feed = open_feed(f"ws://127.0.0.1:{port}", kind="signalk", camera="dock")

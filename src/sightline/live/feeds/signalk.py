@@ -147,6 +147,8 @@ class WebSocketTransport:
                     additional_headers=self._headers,
                     open_timeout=_OPEN_S,
                     close_timeout=0.3,
+                    # Nobody hears of it whom the URL does not name.
+                    proxy=None,
                 )
             )
         except InvalidHandshake as error:
