@@ -25,6 +25,15 @@ OWN = sorted(
 )
 
 
+HEALTH = {
+    "state": "ok",
+    "frames_seen": 17,
+    "frames_per_s": 12.5,
+    "age_s": 0.084,
+    "kept_utc_s": START,
+}
+
+
 def picture() -> bytes:
     buffer = io.BytesIO()
     Image.new("RGB", (640, 360), (90, 110, 120)).save(buffer, "JPEG")
@@ -49,9 +58,7 @@ def test_the_licence_of_the_map_comes_with_it() -> None:
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[LiveServer, Browser]]:
     """A server with the harbour, and a browser that shows its page."""
     folder = tmp_path_factory.mktemp("page")
-    server = LiveServer(
-        "127.0.0.1:0", health=lambda: {"state": "ok", "frames_seen": 17}, picture=picture
-    )
+    server = LiveServer("127.0.0.1:0", health=lambda: HEALTH, picture=picture)
     server.start()
     for i in range(30):
         server.publish(harbour(2.0 * i - 60.0))
@@ -224,7 +231,13 @@ def test_speeds_and_times_are_shown_in_the_units_that_were_chosen(
 @pytest.mark.slow
 def test_health_is_told(shown: tuple[LiveServer, Browser]) -> None:
     _, page = shown
-    page.until("document.getElementById('health').textContent.includes('frames seen17')")
+    rows = page.until(
+        "(terms => terms.length && Object.fromEntries(terms.map(one =>"
+        " [one.textContent, one.nextElementSibling.textContent])))"
+        "([...document.querySelectorAll('#health dt')])"
+    )
+    expected = {"frames seen": "17", "frames per s": "12.5", "age, s": "0.084"}
+    assert (expected | {"kept": "2024-06-01 10:00:00 UTC"}).items() <= rows.items()
     assert page.evaluate("document.getElementById('health-state').textContent") == "All is well."
 
 

@@ -52,6 +52,12 @@ def test_names_are_escaped_and_never_torn(name: str, field: str) -> None:
     assert name_field(name) == field
 
 
+def test_a_vessel_without_a_name_is_called_by_its_mmsi() -> None:
+    targets = target(17), target(18, mmsi=2110001)
+    found = [read(one).target_name for one in TllEncoder()(moment(0.0, *targets))]
+    assert found == ["target 17", "MMSI 002110001"]
+
+
 def test_a_hostile_name_stays_one_field_of_one_sentence() -> None:
     (sentence,) = TllEncoder()(moment(0.0, target(name=HOSTILE)))
     assert sentence.count(b"\r\n") == 1

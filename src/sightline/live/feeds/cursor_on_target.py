@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.live.feeds.address import Address
+from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed, Transport
 from sightline.live.feeds.transports import TcpTransport, UdpTransport
 from sightline.live.moment import Moment, TargetState
@@ -100,7 +101,7 @@ class EventEncoder:
             le=_UNKNOWN,
         )
         detail = ElementTree.SubElement(event, "detail")
-        called = xml_text(target.name or f"target {target.id}")
+        called = xml_text(display_name(target))
         ElementTree.SubElement(detail, "contact", callsign=called)
         if target.speed_mps is not None and target.course_deg is not None:
             speed, course = f"{target.speed_mps:.2f}", f"{target.course_deg:.1f}"

@@ -10,6 +10,7 @@ from functools import reduce
 import numpy as np
 
 from sightline.live.feeds.address import Address
+from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed
 from sightline.live.feeds.transports import TcpServerTransport, UdpTransport
 from sightline.live.moment import Moment, TargetState
@@ -68,7 +69,7 @@ def tll(target: TargetState, time_utc_s: float, status: str) -> bytes:
         f"{target.id % _NUMBERS:02d}",
         _degrees(target.latitude_deg, 2, "NS"),
         _degrees(target.longitude_deg, 3, "EW"),
-        name_field(target.name or f"target {target.id}"),
+        name_field(display_name(target)),
         time[11:].replace(":", "")[:9],
         status,
         "",

@@ -20,6 +20,7 @@ import numpy as np
 from sightline import _optional
 from sightline.errors import InputError
 from sightline.live.feeds.address import Address
+from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed, Transport
 from sightline.live.feeds.transports import TcpTransport, UdpTransport, connect
 from sightline.live.moment import Moment, TargetState
@@ -89,7 +90,7 @@ class DeltaEncoder:
         return f"vessels.urn:mrn:signalk:uuid:{uuid.UUID(bytes=digest.digest()[:16], version=4)}"
 
     def _delta(self, target: TargetState, time: str) -> dict[str, object]:
-        about: dict[str, object] = {"name": encodable_text(target.name or f"target {target.id}")}
+        about: dict[str, object] = {"name": encodable_text(display_name(target))}
         if target.mmsi is not None:
             about["mmsi"] = f"{target.mmsi:09d}"
         position = {

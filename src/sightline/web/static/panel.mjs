@@ -1,7 +1,7 @@
 // What stands beside the map: the list, the chosen target, health. All names are set as text.
 
 import { degreesMinutes, ellipse } from "/static/geometry.mjs";
-import { course, kind, label, metres, number, plain, speed, title } from "/static/words.mjs";
+import { course, kind, label, metres, mmsi, number, plain, speed, time, title } from "/static/words.mjs";
 
 const element = (id) => document.getElementById(id);
 
@@ -101,7 +101,7 @@ export class Panel {
     put(element("chosen-title"), title(target));
     fill(element("chosen"), [
       ["number", String(target.id)],
-      ["MMSI", target.mmsi === null ? "unidentified" : String(target.mmsi).padStart(9, "0")],
+      ["MMSI", target.mmsi === null ? "unidentified" : mmsi(target)],
       ...(target.match === null ? [] : [["match", share(target.match)]]),
       ["state", target.state],
       ["position", place],
@@ -125,6 +125,8 @@ export class Panel {
         if (!before && (key === "state" || key === "reason")) continue;
         if (value !== null && typeof value === "object") {
           if (!Array.isArray(value)) visit(value, `${before}${label(key)}: `);
+        } else if (key.endsWith("_utc_s") && typeof value === "number") {
+          rows.push([`${before}${label(key)}`, time(1000 * value, "UTC")]);
         } else if (typeof value === "number" || typeof value === "boolean") {
           rows.push([`${before}${label(key)}`, number(value)]);
         } else {

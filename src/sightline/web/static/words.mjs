@@ -12,7 +12,12 @@ export function plain(name) {
 }
 
 export function title(target) {
-  return target.name ? plain(target.name) : `target ${target.id}`;
+  if (target.name) return plain(target.name);
+  return target.mmsi === null ? `target ${target.id}` : `MMSI ${mmsi(target)}`;
+}
+
+export function mmsi(target) {
+  return String(target.mmsi).padStart(9, "0");
 }
 
 export function kind(target) {
@@ -47,7 +52,8 @@ export function time(milliseconds, zone) {
 /** A key of health as words: `frames_left_out` → frames left out, `age_s` → age, s. */
 export function label(key) {
   const words = plain(key).replaceAll("_", " ");
-  return words.replace(/ (s|m|px|deg|mps|ms|bytes|hz)$/u, ", $1");
+  return words.replace(/(?<! per)(?: utc)? (s|m|px|deg|mps|ms|bytes|hz)$/u, (all, unit) =>
+    all.startsWith(" utc") ? "" : `, ${unit}`);
 }
 
 export function number(value) {
