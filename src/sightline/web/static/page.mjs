@@ -1,0 +1,195 @@
+// The page: takes moments from the server, and shows them.
+
+import { Chart } from "/static/chart.mjs";
+import { Panel } from "/static/panel.mjs";
+import { Picture } from "/static/picture.mjs";
+import { plain, time } from "/static/words.mjs";
+
+const element = (id) => document.getElementById(id);
+const SILENT_MS = 5000;
+const LIST_MS = 500;
+const HEALTH_MS = 5000;
+
+const choices = { units: ["kn", "km/h"], zone: ["UTC", "local"], theme: ["auto", "light", "dark"] };
+const settings = Object.fromEntries(Object.entries(choices).map(([name, known]) => {
+  let kept = null;
+  try {
+    kept = localStorage.getItem(`sightline.${name}`);
+  } catch {
+    // Some browsers keep nothing.
+  }
+  return [name, known.includes(kept) ? kept : known[0]];
+}));
+
+const state = { moment: null, chosen: null, arrivedMs: 0, drawn: true, connected: false };
+const panel = new Panel(choose);
+const picture = new Picture(element("picture-figure"), element("picture"), choose);
+let chart = null;
+try {
+  applyTheme();
+  chart = new Chart(element("map"), choose);
+} catch (error) {
+  element("map-notice").hidden = false;
+  element("map-notice").textContent = `The map cannot be drawn: ${error.message}`;
+}
+
+function targets() {
+  return state.moment?.targets ?? [];
+}
+
+function choose(id) {
+  state.chosen = id;
+  const target = targets().find((one) => one.id === id);
+  if (target) chart?.show(target);
+  draw();
+  list();
+  if (id !== null) panel.rows.get(id)?.row.scrollIntoView({ block: "nearest" });
+}
+
+function draw() {
+  if (!state.moment) return;
+  state.drawn = true;
+  chart?.draw(targets(), Date.parse(state.moment.time_utc) / 1000, state.chosen);
+  picture.draw(targets(), state.chosen);
+}
+
+function list() {
+  panel.list(targets(), state.chosen, settings.units);
+  const target = targets().find((one) => one.id === state.chosen);
+  panel.detail(target, state.chosen, settings.units);
+  if (state.moment) {
+    const clock = state.moment.capture === "sender" ? "" : " (time of arrival)";
+    element("clock").textContent = time(Date.parse(state.moment.time_utc), settings.zone) + clock;
+  }
+}
+
+function status() {
+  const silent = performance.now() - state.arrivedMs;
+  const line = element("status");
+  let [word, text] = ["live", "live"];
+  if (!state.connected) [word, text] = ["lost", "not connected; trying again"];
+  else if (!state.moment) [word, text] = ["waiting", "waiting for the camera"];
+  else if (silent > SILENT_MS) [word, text] = ["lost", `nothing for ${Math.round(silent / 1000)} s`];
+  line.dataset.state = word;
+  if (line.textContent !== text) line.textContent = text;
+}
+
+function receive(text) {
+  state.moment = JSON.parse(text);
+  state.arrivedMs = performance.now();
+  const camera = plain(state.moment.camera);
+  if (element("camera").textContent !== camera) {
+    element("camera").textContent = camera;
+    document.title = `${camera} – sightline`;
+  }
+  // However many arrive, one is drawn a frame.
+  if (state.drawn) {
+    state.drawn = false;
+    requestAnimationFrame(draw);
+  }
+}
+
+let pauseMs = 500;
+function listen() {
+  const socket = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/ws`);
+  socket.addEventListener("open", () => {
+    state.connected = true;
+    pauseMs = 500;
+    status();
+  });
+  socket.addEventListener("message", (event) => receive(event.data));
+  socket.addEventListener("close", () => {
+    state.connected = false;
+    status();
+    setTimeout(listen, pauseMs * (0.75 + 0.5 * Math.random()));
+    pauseMs = Math.min(2 * pauseMs, 15_000);
+  });
+}
+
+async function health() {
+  try {
+    const answer = await fetch("/healthz", { cache: "no-store" });
+    if (answer.ok || answer.status === 503) panel.health(await answer.json());
+    else panel.health({ state: "unknown", reason: `the server answers ${answer.status}` });
+  } catch {
+    panel.health({ state: "unknown", reason: "the server does not answer" });
+  }
+}
+
+async function recall() {
+  await chart?.ready;
+  for (const [path, take] of [
+    ["/tracks.geojson?minutes=5", (data) => chart?.recall(data)],
+    ["/shore.geojson", (data) => chart?.setShore(data)],
+  ]) {
+    try {
+      if (path === "/shore.geojson") {
+        const about = await (await fetch("/api/about", { cache: "no-store" })).json();
+        if (!about.shore) continue;
+      }
+      const answer = await fetch(path, { cache: "no-store" });
+      if (answer.ok) take(await answer.json());
+    } catch {
+      // The map is of use without them.
+    }
+  }
+  draw();
+  document.documentElement.dataset.ready = "true";
+}
+
+function applyTheme() {
+  const dark = settings.theme === "dark"
+    || (settings.theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
+  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  chart?.repaint();
+  picture.paint();
+}
+
+function applySettings() {
+  element("units").textContent = settings.units;
+  element("zone").textContent = settings.zone;
+  element("theme").textContent = settings.theme[0].toUpperCase() + settings.theme.slice(1);
+  chart?.setUnits(settings.units);
+  applyTheme();
+  list();
+}
+
+function next(name) {
+  const known = choices[name];
+  settings[name] = known[(known.indexOf(settings[name]) + 1) % known.length];
+  try {
+    localStorage.setItem(`sightline.${name}`, settings[name]);
+  } catch {
+    // It holds until the page is closed.
+  }
+  applySettings();
+}
+
+const actions = {
+  f: () => chart?.fit(targets()),
+  u: () => next("units"),
+  t: () => next("zone"),
+  d: () => next("theme"),
+  Escape: () => choose(null),
+};
+for (const [id, key] of [["fit", "f"], ["units", "u"], ["zone", "t"], ["theme", "d"]]) {
+  element(id).addEventListener("click", actions[key]);
+}
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  actions[event.key]?.();
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyTheme);
+addEventListener("resize", () => picture.paint());
+
+chart?.ready.then(applyTheme);
+applySettings();
+listen();
+recall();
+health();
+setInterval(list, LIST_MS);
+setInterval(status, 1000);
+setInterval(health, HEALTH_MS);
+
+// For those who look, and for tests.
+globalThis.sightline = { chart, picture, state, choose };
