@@ -264,6 +264,8 @@ def track(
     result: dict[str, object] = {
         "tracks": summary.tracks,
         "points": summary.points,
+        "moving": summary.tracks - summary.moored,
+        "moored": summary.moored,
         "files": [str(path) for path in tracks.written],
         "complete": summary.broken is None and not stop.is_set(),
     }
@@ -278,7 +280,8 @@ def track(
         result["clock_offset_s"] = clock_offset_s
     with attempts.one():
         write_result(json, result)
-    say(f"{summary.tracks} tracks, {summary.points} points")
+    moored = f"; {summary.moored} of them never move (moored)" if summary.moored else ""
+    say(f"{summary.tracks} tracks, {summary.points} points{moored}")
     for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
         say(line)
     if left_out:
@@ -298,6 +301,7 @@ class _Summary:
 
     tracks: int = 0
     points: int = 0
+    moored: int = 0
     broken: Exception | None = None
 
 
@@ -309,6 +313,7 @@ def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Sum
             tracks.add(made)
             summary.tracks += 1
             summary.points += len(made)
+            summary.moored += made.never_moves
     except BrokenOffError as error:
         summary.broken = error
     except Exception as error:

@@ -22,6 +22,7 @@ from sightline.detection import Detector, detect, observe
 from sightline.errors import BrokenOffError, InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import CameraMotionMonitor
+from sightline.pipeline.moored import MooredTeller
 from sightline.pipeline.sources import (
     Ending,
     FrameRateError,
@@ -102,6 +103,7 @@ class TrackSettings:
             taken off, so that the tracks are in that.
         area: Where targets can be: boxes with a place outside, and tracks that lie outside for the
             most part, are left out. None: anywhere.
+        tell_moored: Whether what never moves is learned and told apart in the tracks.
         tally: Told what the area and a mask leave out.
     """
 
@@ -116,6 +118,7 @@ class TrackSettings:
     compensate_rotation: bool = True
     clock_offset_s: float = 0.0
     area: Area | None = None
+    tell_moored: bool = True
     tally: Tally | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
@@ -385,12 +388,14 @@ def follow(
     book = _OpenTracks(settings, highest_id)
     boxes_seen = [0]
     compensated = map(model.compensated, _counted(batches, boxes_seen))
+    teller = MooredTeller(model, enabled=settings.tell_moored)
     if highest_id == NO_TRACK:
         tracker = _tracker(model, settings, platform)
         inside = _Inside(settings, model, platform)
-        ended = book.ended_by_moment(_followed(compensated, model, first_s, tracker, inside))
+        followed = _followed(compensated, model, first_s, tracker, _Before(inside, teller))
+        ended = book.ended_by_moment(teller.finished(followed))
     else:
-        ended = book.ended(compensated)
+        ended = book.ended(teller.learned(compensated))
     count = 0
     for number, own in ended:
         boxes = own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
@@ -406,6 +411,7 @@ def follow(
         )
         if made is not None and _lies_in(made, settings):
             count += 1
+            made = teller.told(made, boxes)
             if forecasts is not None:
                 forecasts(_forecast(boxes, settings, made, platform))
             yield made
@@ -454,6 +460,14 @@ class _Inside:
         return inside
 
 
+@dataclass(frozen=True)
+class _Before:
+    """What boxes pass before they are followed."""
+
+    inside: _Inside
+    teller: MooredTeller
+
+
 def _lies_in(track: Track, settings: TrackSettings) -> bool:
     """Whether a track lies in the area for the most part; one that does not is counted."""
     if settings.area is None:
@@ -499,7 +513,7 @@ def _followed(
     model: Georeferencer,
     first_s: list[float],
     tracker: Tracker,
-    inside: _Inside,
+    before: _Before,
 ) -> Iterator[Boxes]:
     """Boxes with the track ids that a tracker assigns, in the order of time.
 
@@ -511,15 +525,16 @@ def _followed(
         model: Says where a box lies, as the tracker needs it.
         first_s: Is given the first of their times.
         tracker: Gives the ids.
-        inside: Tells which boxes it is given.
+        before: Tells which boxes it is given, and how sure they are.
     """
     several = tracker.follow if isinstance(tracker, TargetTracker) else None
     for boxes in groups_of_moments(batches, _LOCATED_MOMENTS):
         assert isinstance(boxes, ObservedBoxes), "parts of such have their state"
+        boxes = before.teller.lowered(boxes)
         located = boxes if isinstance(tracker, ImageTracker) else model.place_compensated(boxes)
         first_s += _first_times(boxes, _LOOKED_AT_BOXES - len(first_s))
-        if inside.asked:
-            rows = inside.rows(located)
+        if before.inside.asked:
+            rows = before.inside.rows(located)
             boxes, located = boxes[rows], located[rows]
             if not len(boxes):
                 continue
