@@ -10,11 +10,9 @@ from scipy.stats import norm
 
 from sightline.camera.state import ObservedBoxes
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.logged_motion import SLOWEST_MPS
 from sightline.tracking.static_map import SURE, StaticMap, StaticPlaces
 from sightline.types import BoolArray, Boxes, FloatArray, Track
-
-SLOWEST_MPS = 0.514
-"""A knot: with less a rudder does not steer."""
 
 # Squared Mahalanobis distance in two dimensions that chance exceeds as seldom as `SURE`.
 _CERTAIN = float(-2.0 * np.log(2.0 * norm.sf(SURE)))

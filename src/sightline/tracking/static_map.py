@@ -221,7 +221,7 @@ class StaticMap:
         table = self._table[self._table["stays"]]
         owner = _match(table, *_measured(boxes)) if len(table) else np.full(len(boxes), PASSED_BY)
         mean = np.append(table["confidence"] / np.maximum(table["looks"], 1e-9), 1.0)
-        return np.minimum(boxes.confidence, np.clip(mean[owner], 0.0, 1.0))
+        return np.asarray(np.minimum(boxes.confidence, np.clip(mean[owner], 0.0, 1.0)))
 
     def at(self, boxes: Boxes) -> IntArray:
         """(N,) number of the place that stays and that each box is of, or `PASSED_BY`.
@@ -248,7 +248,7 @@ class StaticMap:
             boxes: Of one target, in the order of time.
         """
         own = self.at(boxes)
-        inside = own != PASSED_BY
+        inside: BoolArray = np.asarray(own != PASSED_BY)
         if not inside.any():
             return inside
         times = boxes.time_utc_s
@@ -433,6 +433,24 @@ class StaticMap:
         self._table = table
 
 
+def certainly_moves(boxes: Boxes) -> bool:
+    """Whether a target has certainly moved: further than boxes of one place differ.
+
+    Args:
+        boxes: Of one target, in the order of time.
+    """
+    if not len(boxes):
+        return False
+    block = np.floor((boxes.time_utc_s - boxes.time_utc_s[0]) / BLOCK_S).astype(np.int64)
+    _, group, count = np.unique(block, return_inverse=True, return_counts=True)
+    centre, log_size = _measured(boxes)
+    means = np.column_stack([np.bincount(group, column) / count for column in centre.T])
+    size = float(np.exp(log_size.mean()))
+    # Of a difference of two.
+    spread = np.sqrt(2.0) * np.hypot(_IMAGE.position_noise * size, _ROUNDED_PX)
+    return bool((np.abs(means - means[0]) > GATE * spread).any())
+
+
 def _measured(boxes: Boxes) -> tuple[FloatArray, FloatArray]:
     """(N, 2) centres and (N, 2) logarithms of width and height."""
     xyxy = boxes.xyxy_px
@@ -472,7 +490,7 @@ def _spread(table: Columns) -> FloatArray:
     """(K, 2) standard deviation of the centre of single boxes, px."""
     usual = (_IMAGE.position_noise * _size(table)) ** 2
     squares = _PRIOR_BOXES * usual[:, None] + table["box_square"]
-    return np.sqrt(squares / (_PRIOR_BOXES + table["boxes"])[:, None] + _ROUNDED_PX**2)
+    return np.asarray(np.sqrt(squares / (_PRIOR_BOXES + table["boxes"])[:, None] + _ROUNDED_PX**2))
 
 
 def _samples(table: Columns) -> tuple[FloatArray, FloatArray]:
@@ -492,7 +510,7 @@ def _drift(table: Columns, number: FloatArray, span_s: FloatArray) -> tuple[Floa
     slope = (table["measured_time"] / weight - middle * mean) / variance
     left = table["measured_square"] / weight - mean**2 - slope**2 * variance
     free = np.maximum(number[:, None] - 2.0, 1e-9)
-    least = [_ROUNDED_PX, _ROUNDED_PX] + [0.0, 0.0]
+    least = [_ROUNDED_PX, _ROUNDED_PX, 0.0, 0.0]
     sigma = np.sqrt(np.maximum(left * number[:, None] / free, np.square(least)))
     error = sigma * np.sqrt(12.0 / np.maximum(number[:, None], 1.0))
     return np.abs(slope) * span_s[:, None], error
