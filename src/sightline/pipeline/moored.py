@@ -14,6 +14,9 @@ from sightline.logged_motion import SLOWEST_MPS
 from sightline.tracking.static_map import SURE, StaticMap, StaticPlaces
 from sightline.types import BoolArray, Boxes, FloatArray, Track
 
+TOLD_S = 120.0
+"""A minute tells of boxes of ten pixels whether they stay, and two where half are missed."""
+
 # Squared Mahalanobis distance in two dimensions that chance exceeds as seldom as `SURE`.
 _CERTAIN = float(-2.0 * np.log(2.0 * norm.sf(SURE)))
 
@@ -66,6 +69,10 @@ class MooredTeller:
         if self._map is not None:
             self._map.finish()
 
+    def knows(self, track: Track) -> bool:
+        """Whether enough was seen since a track began to tell whether its target stays."""
+        return self._map is None or self._map.now_s >= track.time_utc_s[0] + TOLD_S
+
     def told(self, track: Track, boxes: Boxes) -> Track:
         """A track with where its target stayed.
 
@@ -78,7 +85,7 @@ class MooredTeller:
         """
         if self._map is None:
             return track
-        staying = self._map.staying(boxes)
+        staying, place = self._map.staying(boxes), self._map.at(boxes)
         if not staying.any():
             return track
         moored = np.zeros(len(track), dtype=bool)
@@ -90,7 +97,9 @@ class MooredTeller:
                 inside = (track.time_utc_s >= times[part[0]]) & (
                     track.time_utc_s <= times[part[-1]]
                 )
-                if not _goes(track, inside):
+                # What is taken for its neighbours goes to and fro between them.
+                alone = place[part[0]] == place[part[-1]]
+                if not (alone and _goes(track, inside)):
                     moored |= inside
         return replace(track, moored=moored)
 

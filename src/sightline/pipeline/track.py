@@ -393,28 +393,33 @@ def follow(
         tracker = _tracker(model, settings, platform)
         inside = _Inside(settings, model, platform)
         followed = _followed(compensated, model, first_s, tracker, _Before(inside, teller))
-        ended = book.ended_by_moment(teller.finished(followed))
+        turns = book.turns(teller.finished(followed), by_moment=True)
     else:
-        ended = book.ended(teller.learned(compensated))
+        turns = book.turns(teller.learned(compensated))
     count = 0
-    for number, own in ended:
-        boxes = own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
-        if highest_id != NO_TRACK:
-            boxes = boxes[_Inside(settings, model, platform).rows(boxes)]
-        made = smooth_boxes(
-            boxes,
-            smoother,
-            settings,
-            track_id=number,
-            shortest_s=settings.shortest_s,
-            platform=platform,
-        )
-        if made is not None and _lies_in(made, settings):
+    waiting: list[tuple[Track, LocatedBoxes]] = []
+    for last, ended in turns:
+        for number, own in ended:
+            boxes = (
+                own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
+            )
+            if highest_id != NO_TRACK:
+                boxes = boxes[_Inside(settings, model, platform).rows(boxes)]
+            made = smooth_boxes(
+                *(boxes, smoother, settings),
+                track_id=number,
+                shortest_s=settings.shortest_s,
+                platform=platform,
+            )
+            if made is not None and _lies_in(made, settings):
+                waiting.append((made, boxes))
+        known = [last or teller.knows(made) for made, _ in waiting]
+        for made, boxes in itertools.compress(waiting, known):
             count += 1
-            made = teller.told(made, boxes)
             if forecasts is not None:
                 forecasts(_forecast(boxes, settings, made, platform))
-            yield made
+            yield teller.told(made, boxes)
+        waiting = [one for one, told in zip(waiting, known, strict=True) if not told]
     if count == 0:
         check_frame_rate(first_s, "boxes", model)
         if boxes_seen[0] and not ended_early():
@@ -584,12 +589,26 @@ class _OpenTracks:
         self._first_s: dict[int, float] = {}
         self._last_s: dict[int, float] = {}
 
-    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
-        """Add boxes with track ids, and return the boxes of each target that has gone."""
+    def turns(
+        self, batches: Iterable[Boxes], *, by_moment: bool = False
+    ) -> Iterator[tuple[bool, list[tuple[int, Boxes]]]]:
+        """Add boxes with track ids, and return the boxes of the targets that have gone.
+
+        Args:
+            batches: In the order of time from one to the next.
+            by_moment: Whether they are in the order of time, each moment whole, all with ids.
+
+        Returns:
+            With each batch, and once more at the end: whether that is it, and who has gone.
+        """
         for batch in batches:
-            yield from self._add(batch)
-        for key in list(self._first_s):
-            yield self._end(key)
+            yield False, self._add_moments(batch) if by_moment else self._add(batch)
+        yield True, [self._end(key) for key in list(self._first_s)]
+
+    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """The boxes of each target that has gone, of batches as `turns` takes them."""
+        for _, ended in self.turns(batches):
+            yield from ended
 
     def ended_by_moment(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
         """As `ended`, where each moment is a batch of its own.
@@ -597,10 +616,8 @@ class _OpenTracks:
         Args:
             batches: In the order of time, each moment whole, all boxes with ids.
         """
-        for batch in batches:
-            yield from self._add_moments(batch)
-        for key in list(self._first_s):
-            yield self._end(key)
+        for _, ended in self.turns(batches, by_moment=True):
+            yield from ended
 
     def _add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
         if not len(batch):

@@ -62,6 +62,7 @@ class BoxNoise:
         lower_edge_bias_px: Added to y2; positive reaches too low.
         miss_probability: Share of boxes that are left out.
         source: Name of the source.
+        least_px: Boats whose true box is narrower or lower are not found.
     """
 
     std_px: float = 1.0
@@ -69,6 +70,7 @@ class BoxNoise:
     lower_edge_bias_px: float = 0.0
     miss_probability: float = 0.0
     source: str = "annotator"
+    least_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -429,6 +431,9 @@ class Harbour:
         if of == "moving":
             seen[:, [not boat.path.moves for boat in self.boats]] = False
         if noise is not None:
+            if noise.least_px > 0.0:
+                with np.errstate(invalid="ignore"):
+                    seen &= (outlines[..., 2:] - outlines[..., :2]).min(axis=-1) >= noise.least_px
             rng = np.random.default_rng([self.seed, 2, seed])
             for j in range(len(self.boats)):
                 error = noise.std_px * _correlated(rng, times, noise.correlation_time_s, 4)
@@ -481,7 +486,7 @@ class Harbour:
             corners = self.camera.project(self.shore.features[i].part_enu_m())
             box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
             inside = (box > 4.0) & (box < np.tile([width - 4.0, height - 4.0], 2))
-            if not (np.isfinite(box).all() and inside.all()) or (box[2:] - box[:2]).min() < 4.0:
+            if not (np.isfinite(box).all() and inside.all()) or (box[2:] - box[:2]).min() < max(noise.least_px, 4.0):
                 continue
             edges = box + noise.std_px * _correlated(rng, times, noise.correlation_time_s, 4)
             level = norm.ppf(rng.uniform(0.1, 0.9))

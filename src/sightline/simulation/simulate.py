@@ -56,6 +56,9 @@ AIS_TRANSPONDER = ReceiverNoise(
 )
 """A class B transponder nearby: a whole second every few seconds."""
 
+LEAST_FOUND_PX = 6.0
+"""Boxes before a shore that are narrower or lower no detector finds."""
+
 CLOCK_STEP_S = 5.0
 """How often a ``"stepped"`` clock is read."""
 
@@ -319,10 +322,14 @@ def _write_tables(
         times[looked_at], noise=settings.annotator, frame=looked_at, seed=2 * seed
     )
     _write_boxes(folder / "boxes" / f"{name}.csv", drawn, annotator=True)
-    seen = harbour.boxes(times, noise=settings.detector, of="all", seed=2 * seed + 1)
+    detector = settings.detector
+    if settings.shore:
+        # Before a shore there is much that is too small for any detector.
+        detector = replace(detector, least_px=max(detector.least_px, LEAST_FOUND_PX))
+    seen = harbour.boxes(times, noise=detector, of="all", seed=2 * seed + 1)
     rng = np.random.default_rng([harbour.seed, 7, seed])
     seen = seen.with_columns(confidence=rng.beta(8.0, 2.0, len(seen)))
-    false = harbour.false_boxes(times, noise=settings.detector, seed=seed)
+    false = harbour.false_boxes(times, noise=detector, seed=seed)
     if len(false):
         seen = Boxes.concatenate([seen, false])
         seen = seen[np.argsort(seen.time_utc_s, kind="stable")]

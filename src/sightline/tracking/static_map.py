@@ -32,6 +32,9 @@ SLOWEST_SIZES_PER_S = 0.125
 A box of 4 m, of a boat of 6 m, at a knot: with less a rudder does not steer.
 """
 
+FASTEST_SIZES_PER_S = 4.0
+"""A box of 4 m at 30 knots: what is faster was another thing."""
+
 COINCIDENCE = 0.01
 """Largest probability that a boat under way shows as little as what is told to stay.
 
@@ -63,7 +66,6 @@ _FORGOTTEN_S = 30.0
 _GONE_PROBABILITY = 1e-4
 _MOST_GAPS = 200
 _FRAME_QUANTILE = 0.1
-_DOMINANT_SHARE = 0.5
 
 _SUMS: Fields = [
     ("weight", float, ()),
@@ -72,7 +74,7 @@ _SUMS: Fields = [
     ("measured", float, (4,)),
     ("measured_time", float, (4,)),
     ("measured_square", float, (4,)),
-    ("box_square", float, (2,)),
+    ("box_square", float, (4,)),
     ("boxes", float, ()),
     ("confidence", float, ()),
     ("looks", float, ()),
@@ -199,6 +201,11 @@ class StaticMap:
             self._pending = int(block[start])
             self._waiting.append(rows[start:stop])
 
+    @property
+    def now_s(self) -> float:
+        """Until when it has learned, by the clock of the boxes; minus infinity before that."""
+        return self._now_s - self._shift_s
+
     def finish(self) -> None:
         """Learn from the boxes that wait for others of their block."""
         if self._waiting:
@@ -229,7 +236,7 @@ class StaticMap:
         Of what has been learned by now, of boxes of any time that the map has seen: also from
         before it was known that the place stays, and of places from which something has left.
         """
-        table = np.concatenate([self._table[self._table["stays"]], self._ended])
+        table = self._staying()
         if not len(table) or not len(boxes):
             return np.full(len(boxes), PASSED_BY, dtype=np.int64)
         times = boxes.time_utc_s + self._shift_s
@@ -242,7 +249,7 @@ class StaticMap:
         """(N,) whether a target stays in its place, box by box.
 
         Boxes beside the place for less than errors last are no departure; and who is at a place
-        for no longer than a slow boat takes to pass it, and elsewhere before or after, passes by.
+        for no longer than a slow boat takes to pass it, and under way before or after, passes by.
 
         Args:
             boxes: Of one target, in the order of time.
@@ -255,20 +262,42 @@ class StaticMap:
         for start, stop in _runs(inside):
             if not inside[start] and times[stop - 1] - times[start] < BLOCK_S:
                 inside[start:stop] = True
-        passing_s = self._passing_s()
+        if inside.all():
+            return inside
+        lasts = self._lasts(own, times)
         out = np.zeros(len(boxes), dtype=bool)
         for start, stop in _runs(inside):
-            at = own[start:stop]
-            if not inside[start] or not (at != PASSED_BY).any():
-                continue
-            places, counts = np.unique(at[at != PASSED_BY], return_counts=True)
-            most = int(np.argmax(counts))
-            everything = stop - start == len(boxes)
-            long = times[stop - 1] - times[start] > passing_s[int(places[most])]
-            out[start:stop] = counts[most] >= _DOMINANT_SHARE * (stop - start) and (
-                everything or long
-            )
+            rows = np.flatnonzero(lasts[start:stop])
+            if rows.size:
+                out[start + rows[0] : start + rows[-1] + 1] = True
+        if not out.any():
+            return out
+        # Between, before and after there may be too little to tell of, or a neighbour.
+        for start, stop in _runs(out):
+            if not out[start] and not certainly_moves(boxes[start:stop]):
+                out[start:stop] = True
         return out
+
+    def _lasts(self, own: IntArray, times: FloatArray) -> BoolArray:
+        """(N,) whether a target is for longer at the place of each box than it takes to pass it.
+
+        It may be there several times: who is taken for a neighbour now and then is there again.
+        """
+        table = self._staying()
+        table = table[np.isin(table["number"], own)]
+        mean = table["measured"][:, :2] / table["weight"][:, None]
+        apart = np.abs(mean[:, None] - mean[None]) / (GATE * _spread(table))[:, None]
+        # One thing may have several places, of boxes of different size.
+        same = (apart <= 1.0).all(axis=2)
+        step_s = np.minimum(np.diff(times, append=times[-1]), BLOCK_S)
+        there_s = np.array([step_s[own == number].sum() for number in table["number"]])
+        reach = 2.0 * GATE * _spread(table)[:, 0] / (SLOWEST_SIZES_PER_S * _size(table))
+        lasting = table["number"][same @ there_s > reach]
+        return np.isin(own, lasting)
+
+    def _staying(self) -> Columns:
+        """All places that stay, or did until something left them."""
+        return np.concatenate([self._table[self._table["stays"]], self._ended])
 
     def places(self) -> StaticPlaces:
         """The places that stay now."""
@@ -285,12 +314,6 @@ class StaticMap:
             seen_share=np.clip(table["boxes"] / looks, 0.0, 1.0),
             confidence=np.clip(table["confidence"] / looks, 0.0, 1.0),
         )
-
-    def _passing_s(self) -> dict[int, float]:
-        """How long the slowest boat takes to pass each place that stays, by its number."""
-        table = np.concatenate([self._table[self._table["stays"]], self._ended])
-        reach = 2.0 * GATE * _spread(table)[:, 0] / (SLOWEST_SIZES_PER_S * _size(table))
-        return dict(zip(table["number"].tolist(), reach.tolist(), strict=True))
 
     def _settle(self) -> None:
         """Learn from the boxes of a block, all of which are there."""
@@ -359,8 +382,8 @@ class StaticMap:
         np.add.at(total, owner, measured)
         mean = total[touched] / count[touched, None]
         before = table["measured"] / table["weight"][:, None]
-        off = np.zeros((len(table), 2))
-        np.add.at(off, owner, (measured - before[owner])[:, :2] ** 2)
+        off = np.zeros((len(table), 4))
+        np.add.at(off, owner, (measured - before[owner]) ** 2)
         table["box_square"] += off
         table["boxes"] += count
         table["confidence"] += np.bincount(owner, weights=confidence, minlength=len(table))
@@ -382,12 +405,14 @@ class StaticMap:
         table = self._table[rows]
         number, span_s = _samples(table)
         drift, error = _drift(table, number, span_s)
-        spread = np.column_stack([_spread(table), np.full((len(rows), 2), _IMAGE.size_noise)])
+        spread = _scatter(table)
         goes = (drift - SURE * error > spread).any(axis=1)
         most = drift[:, 0] + _WITHIN_95 * error[:, 0]
         across = SLOWEST_SIZES_PER_S * _size(table) * span_s
         coincidence = 2.0 / np.pi * np.arcsin(np.minimum(most / np.maximum(across, 1e-9), 1.0))
         found = (number >= _LEAST_SAMPLES) & (coincidence <= COINCIDENCE)
+        # Along the line of sight a boat comes down in the picture.
+        found &= drift[:, 1] <= np.maximum(_WITHIN_95 * error[:, 1], _ROUNDED_PX)
         self._table["stays"][rows] = (table["stays"] | found) & ~goes
 
     def _drop(self) -> None:
@@ -426,7 +451,7 @@ class StaticMap:
         table["measured"] = number[:, None] * measured
         table["measured_time"] = table["time"][:, None] * measured
         table["measured_square"] = number[:, None] * (measured**2 + scatter**2)
-        table["box_square"] = number[:, None] * known.spread_px**2
+        table["box_square"] = number[:, None] * scatter**2
         table["boxes"] = number * known.seen_share
         table["confidence"] = number * known.confidence
         table["stays"] = True
@@ -436,19 +461,33 @@ class StaticMap:
 def certainly_moves(boxes: Boxes) -> bool:
     """Whether a target has certainly moved: further than boxes of one place differ.
 
+    A leap that no boat makes is no motion: somebody else was taken for the target.
+
     Args:
         boxes: Of one target, in the order of time.
     """
     if not len(boxes):
         return False
-    block = np.floor((boxes.time_utc_s - boxes.time_utc_s[0]) / BLOCK_S).astype(np.int64)
-    _, group, count = np.unique(block, return_inverse=True, return_counts=True)
     centre, log_size = _measured(boxes)
-    means = np.column_stack([np.bincount(group, column) / count for column in centre.T])
+    times = boxes.time_utc_s
     size = float(np.exp(log_size.mean()))
+    # Motion leaves the size as it is: the edges' own scatter shows there, twice the centre's.
+    own = 0.5 * np.std(np.exp(log_size), axis=0) if len(boxes) > 2 else np.zeros(2)
+    spread = np.hypot(np.maximum(_IMAGE.position_noise * size, own), _ROUNDED_PX)
     # Of a difference of two.
-    spread = np.sqrt(2.0) * np.hypot(_IMAGE.position_noise * size, _ROUNDED_PX)
-    return bool((np.abs(means - means[0]) > GATE * spread).any())
+    least = GATE * np.sqrt(2.0) * spread
+    step, lag_s = np.abs(np.diff(centre, axis=0)), np.diff(times)
+    # Nobody saw how it went in a gap.
+    lag_s = np.minimum(lag_s, max(BLOCK_S, 2.0 * float(np.median(lag_s)) if lag_s.size else 0.0))
+    most = np.maximum(least, FASTEST_SIZES_PER_S * size * lag_s[:, None])
+    leaps = np.flatnonzero((step > most).any(axis=1)) + 1
+    for rows in np.split(np.arange(len(boxes)), leaps):
+        block = np.floor((times[rows] - times[rows[0]]) / BLOCK_S).astype(np.int64)
+        _, group, count = np.unique(block, return_inverse=True, return_counts=True)
+        means = np.column_stack([np.bincount(group, column) / count for column in centre[rows].T])
+        if (np.abs(means - means[0]) > least).any():
+            return True
+    return False
 
 
 def _measured(boxes: Boxes) -> tuple[FloatArray, FloatArray]:
@@ -471,13 +510,18 @@ def _match(
     if not len(table) or not len(centre):
         return np.full(len(centre), PASSED_BY, dtype=np.int64)
     mean = table["measured"] / table["weight"][:, None]
-    apart = np.abs(centre[:, None] - mean[:, :2]) / (GATE * _spread(table))
-    unlike = np.abs(log_size[:, None] - mean[:, 2:]) / (GATE * _IMAGE.size_noise)
-    off = np.maximum(apart.max(axis=2), unlike.max(axis=2))
+    scatter = _scatter(table)
+    measured = np.concatenate([centre, log_size], axis=1)
+    apart = np.abs(measured[:, None] - mean) / scatter
+    # Places are a mixture of normal distributions: that which has most boxes is likeliest.
+    unlikely = 0.5 * (apart**2).sum(axis=2) + np.log(scatter).sum(axis=1)
+    unlikely = unlikely - np.log1p(table["boxes"])
+    near = (apart <= GATE).all(axis=2)
     if possible is not None:
-        off = np.where(possible, off, np.inf)
-    best = np.argmin(off, axis=1)
-    return np.where(off[np.arange(len(off)), best] <= 1.0, best, PASSED_BY)
+        near &= possible
+    unlikely = np.where(near, unlikely, np.inf)
+    best = np.argmin(unlikely, axis=1)
+    return np.where(near[np.arange(len(near)), best], best, PASSED_BY)
 
 
 def _size(table: Columns) -> FloatArray:
@@ -486,11 +530,25 @@ def _size(table: Columns) -> FloatArray:
     return np.asarray(np.exp(mean.mean(axis=1)))
 
 
+def _scatter(table: Columns) -> FloatArray:
+    """(K, 4) standard deviation of single boxes: centre, px, and logarithms of width and height."""
+    size_px = np.exp(table["measured"][:, 2:] / table["weight"][:, None])
+    usual = np.column_stack(
+        [
+            np.repeat((_IMAGE.position_noise * _size(table))[:, None], 2, axis=1),
+            np.full((len(table), 2), _IMAGE.size_noise),
+        ]
+    )
+    rounded = np.column_stack(
+        [np.full((len(table), 2), _ROUNDED_PX), np.sqrt(2.0) * _ROUNDED_PX / size_px]
+    )
+    squares = _PRIOR_BOXES * usual**2 + table["box_square"]
+    return np.asarray(np.sqrt(squares / (_PRIOR_BOXES + table["boxes"])[:, None] + rounded**2))
+
+
 def _spread(table: Columns) -> FloatArray:
     """(K, 2) standard deviation of the centre of single boxes, px."""
-    usual = (_IMAGE.position_noise * _size(table)) ** 2
-    squares = _PRIOR_BOXES * usual[:, None] + table["box_square"]
-    return np.asarray(np.sqrt(squares / (_PRIOR_BOXES + table["boxes"])[:, None] + _ROUNDED_PX**2))
+    return _scatter(table)[:, :2]
 
 
 def _samples(table: Columns) -> tuple[FloatArray, FloatArray]:
