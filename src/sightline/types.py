@@ -704,6 +704,7 @@ class Track(Columns):
         label: The class of the target, or ``""``.
         moored: (N,) bool, whether the target stayed in its place, as what is moored does, and
             houses and buoys that are taken for boats. Absent: nowhere.
+        untold: Whether too little was seen of the target to tell if it moves elsewhere.
 
     Examples:
         >>> track = sightline.Tracks.read("tracks.geojson")[0]
@@ -727,6 +728,7 @@ class Track(Columns):
     plane: LocalPlane
     label: str = ""
     moored: BoolArray | None = None
+    untold: bool = False
 
     _row_fields = (
         "time_utc_s",

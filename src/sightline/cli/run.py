@@ -193,6 +193,9 @@ def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, object]:
     out["moored_per_recording"] = {
         name: sum(track.never_moves for track in tracks) for name, tracks in result.tracks.items()
     }
+    out["untold_per_recording"] = {
+        name: sum(track.untold for track in tracks) for name, tracks in result.tracks.items()
+    }
     out["left_out_of_area"] = dict(result.left_out_of_area)
     out["notes"] = [*result.notes, *result.model.report.statements]
     return out

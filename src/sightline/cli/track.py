@@ -264,8 +264,9 @@ def track(
     result: dict[str, object] = {
         "tracks": summary.tracks,
         "points": summary.points,
-        "moving": summary.tracks - summary.moored,
+        "moving": summary.tracks - summary.moored - summary.untold,
         "moored": summary.moored,
+        "untold": summary.untold,
         "files": [str(path) for path in tracks.written],
         "complete": summary.broken is None and not stop.is_set(),
     }
@@ -280,8 +281,7 @@ def track(
         result["clock_offset_s"] = clock_offset_s
     with attempts.one():
         write_result(json, result)
-    moored = f"; {summary.moored} of them never move (moored)" if summary.moored else ""
-    say(f"{summary.tracks} tracks, {summary.points} points{moored}")
+    say(f"{summary.tracks} tracks, {summary.points} points{_of_which(summary)}")
     for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
         say(line)
     if left_out:
@@ -302,7 +302,19 @@ class _Summary:
     tracks: int = 0
     points: int = 0
     moored: int = 0
+    untold: int = 0
     broken: Exception | None = None
+
+
+def _of_which(summary: _Summary) -> str:
+    """How many tracks move, where some do not."""
+    still = summary.moored + summary.untold
+    if not still:
+        return ""
+    return (
+        f"; of the tracks {summary.tracks - still} moving, {summary.moored} moored, "
+        f"{summary.untold} not told"
+    )
 
 
 def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Summary:
@@ -314,6 +326,7 @@ def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Sum
             summary.tracks += 1
             summary.points += len(made)
             summary.moored += made.never_moves
+            summary.untold += made.untold
     except BrokenOffError as error:
         summary.broken = error
     except Exception as error:

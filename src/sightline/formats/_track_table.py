@@ -20,8 +20,8 @@ from sightline.types import BoolArray, FloatArray, PointKind, Track, ellipses, f
 KINDS = tuple(kind.name.lower() for kind in PointKind)
 """The word for each `PointKind`, by its value."""
 
-STATES = ("moving", "moored")
-"""The word for where a target stayed in its place, by whether it did."""
+MOVING, MOORED, UNTOLD = "moving", "moored", "untold"
+"""Whether a target stays in its place at a point of its track, or nobody knows."""
 
 REQUIRED = ("track_id", "time_utc", "latitude_deg", "longitude_deg")
 """Columns without which a table holds no tracks."""
@@ -48,8 +48,8 @@ COLUMNS = (
 def columns(track: Track) -> dict[str, NDArray[Any]]:
     """The columns of a track's table that a point has of its own, but for its time.
 
-    Degrees are rounded to nine places (0.1 mm). ``kind`` is a word of `KINDS`, ``state`` one of
-    `STATES`; the ellipse holds the true position with 95 %.
+    Degrees are rounded to nine places (0.1 mm). ``kind`` is a word of `KINDS`, ``state`` `MOORED`,
+    `MOVING` or `UNTOLD`; the ellipse holds the true position with 95 %.
     """
     ellipse = ellipses(track.covariance_m2, _PROBABILITY)
     latitude, longitude = track.plane.to_geographic(track.east_m, track.north_m)
@@ -59,7 +59,7 @@ def columns(track: Track) -> dict[str, NDArray[Any]]:
         "speed_mps": np.round(track.speed_mps, 6),
         "course_deg": np.round(track.course_deg, 6),
         "kind": np.array(KINDS)[track.kind],
-        "state": np.array(STATES)[np.asarray(track.moored).astype(np.int64)],
+        "state": np.where(track.moored, MOORED, UNTOLD if track.untold else MOVING),
     }
     places |= dict(zip(_COVARIANCE, _triangle(track.covariance_m2), strict=True))
     places |= dict(
@@ -204,7 +204,8 @@ def _track(rows: pd.DataFrame, plane: LocalPlane) -> Track:
         kind=_kinds(rows),
         plane=plane,
         label=_label(rows),
-        moored=_moored(rows),
+        moored=_in_state(rows, MOORED),
+        untold=bool(_in_state(rows, UNTOLD).any()),
     )
 
 
@@ -252,11 +253,11 @@ def _kinds(rows: pd.DataFrame) -> np.ndarray:
     return kinds.to_numpy(dtype=np.int8)
 
 
-def _moored(rows: pd.DataFrame) -> BoolArray:
-    """Where a target stayed; other programs' tables may have any words in such a column."""
+def _in_state(rows: pd.DataFrame, state: str) -> BoolArray:
+    """Where a target is in a state; other programs may have any words in such a column."""
     if "state" not in rows:
         return np.zeros(len(rows), dtype=bool)
-    return np.array([word == STATES[1] for word in rows["state"]], dtype=bool)
+    return np.array([word == state for word in rows["state"]], dtype=bool)
 
 
 def _label(rows: pd.DataFrame) -> str:

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from sightline.camera.state import ObservedBoxes
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.logged_motion import SLOWEST_MPS
-from sightline.tracking.static_map import SURE, StaticMap, StaticPlaces
+from sightline.tracking.static_map import SURE, StaticMap, StaticPlaces, certainly_moves
 from sightline.types import BoolArray, Boxes, FloatArray, Track
 
 TOLD_S = 120.0
@@ -87,7 +87,7 @@ class MooredTeller:
             return track
         staying, place = self._map.staying(boxes), self._map.at(boxes)
         if not staying.any():
-            return track
+            return replace(track, untold=not certainly_moves(boxes))
         moored = np.zeros(len(track), dtype=bool)
         times = boxes.time_utc_s
         cuts = np.flatnonzero(np.diff(staying)) + 1

@@ -486,7 +486,9 @@ class Harbour:
             corners = self.camera.project(self.shore.features[i].part_enu_m())
             box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
             inside = (box > 4.0) & (box < np.tile([width - 4.0, height - 4.0], 2))
-            if not (np.isfinite(box).all() and inside.all()) or (box[2:] - box[:2]).min() < max(noise.least_px, 4.0):
+            if not (np.isfinite(box).all() and inside.all()) or (box[2:] - box[:2]).min() < max(
+                noise.least_px, 4.0
+            ):
                 continue
             edges = box + noise.std_px * _correlated(rng, times, noise.correlation_time_s, 4)
             level = norm.ppf(rng.uniform(0.1, 0.9))
