@@ -37,7 +37,7 @@ from sightline.cli.replacing import check_holds_tracks, keep_others
 from sightline.errors import BrokenOffError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from sightline.clock_offset import ClockOffset
     from sightline.types import Track
@@ -166,6 +166,9 @@ def track(
             help="Compensate camera rotation seen in the video.",
         ),
     ] = True,
+    moving_only: Annotated[
+        bool, typer.Option("--moving-only", help="Leave out tracks of what never moves.")
+    ] = False,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
@@ -249,10 +252,10 @@ def track(
                 mask=mask,
                 settings=settings,
                 progress=tell,
-                forecasts=forecasts.add if ahead else None,
+                forecasts=_add_to(forecasts, moving_only=moving_only) if ahead else None,
                 stop=stop,
             )
-            summary = _write(found, tracks, is_stream(source))
+            summary = _write(found, tracks, is_stream(source), moving_only=moving_only)
             tracks.finish()
             forecasts.finish()
     if stop.is_set():
@@ -317,11 +320,25 @@ def _of_which(summary: _Summary) -> str:
     )
 
 
-def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Summary:
+def _add_to(outputs: Outputs[Track], *, moving_only: bool) -> Callable[[Track], None]:
+    """What writes forecasts, if need be without those of what never moves."""
+
+    def add(forecast: Track) -> None:
+        if not (moving_only and forecast.never_moves):
+            outputs.add(forecast)
+
+    return add
+
+
+def _write(
+    found: Iterator[Track], tracks: Outputs[Track], stream: bool, *, moving_only: bool
+) -> _Summary:
     """Write tracks to the end of their source; of a stream whatever ends it."""
     summary = _Summary()
     try:
         for made in found:
+            if moving_only and made.never_moves:
+                continue
             tracks.add(made)
             summary.tracks += 1
             summary.points += len(made)

@@ -59,7 +59,7 @@ def columns(track: Track) -> dict[str, NDArray[Any]]:
         "speed_mps": np.round(track.speed_mps, 6),
         "course_deg": np.round(track.course_deg, 6),
         "kind": np.array(KINDS)[track.kind],
-        "state": np.where(track.moored, MOORED, UNTOLD if track.untold else MOVING),
+        "state": np.where(np.asarray(track.moored), MOORED, UNTOLD if track.untold else MOVING),
     }
     places |= dict(zip(_COVARIANCE, _triangle(track.covariance_m2), strict=True))
     places |= dict(

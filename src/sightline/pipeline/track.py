@@ -416,10 +416,11 @@ def follow(
         known = [last or teller.knows(made) for made, _ in waiting]
         for made, boxes in itertools.compress(waiting, known):
             count += 1
+            told = teller.told(made, boxes)
             if forecasts is not None:
-                forecasts(_forecast(boxes, settings, made, platform))
-            yield teller.told(made, boxes)
-        waiting = [one for one, told in zip(waiting, known, strict=True) if not told]
+                forecasts(_forecast(boxes, settings, told, platform))
+            yield told
+        waiting = [one for one, due in zip(waiting, known, strict=True) if not due]
     if count == 0:
         check_frame_rate(first_s, "boxes", model)
         if boxes_seen[0] and not ended_early():
@@ -510,7 +511,10 @@ def _forecast(
     state = known[-1:]
     step = min(settings.forecast_interval_s, settings.forecast_s)
     lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
-    return state.forecast(lags, track_id=track.track_id, label=track.label)
+    ahead = state.forecast(lags, track_id=track.track_id, label=track.label)
+    assert track.moored is not None, "filled in"
+    stays = np.full(len(ahead), track.moored[-1], dtype=bool)
+    return replace(ahead, moored=stays, untold=track.untold)
 
 
 def _followed(

@@ -780,6 +780,25 @@ class _Builder:
         speed_mps: tuple[float, float],
         turn_rate_dps: float,
     ) -> Path:
+        path = self._wandered(range_m, speed_mps, turn_rate_dps)
+        if self._shore is None:
+            return path
+        # Before a quay who cannot turn is to keep off it, and go slower.
+        times = np.arange(0.0, self._duration_s, 0.5)
+        for share in np.linspace(0.95, 0.2, 40).tolist():
+            if np.hypot(*path.at(times).T).max() < self._shore.range_m - 0.5 * _OFF_QUAY_M:
+                break
+            nearer = (share * range_m[0], share * min(range_m[1], self._shore.range_m))
+            slower = (share * speed_mps[0], share * speed_mps[1])
+            path = self._wandered(nearer, slower, turn_rate_dps)
+        return path
+
+    def _wandered(
+        self,
+        range_m: tuple[float, float],
+        speed_mps: tuple[float, float],
+        turn_rate_dps: float,
+    ) -> Path:
         rng = self._rng
         count = 24
         cruise = rng.uniform(*speed_mps)

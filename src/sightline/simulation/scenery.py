@@ -228,7 +228,7 @@ class Panorama:
 
     def column(self, off_deg: float) -> int:
         """The column of a bearing, degrees to the right of the heading."""
-        return round(off_deg * _PIXELS_PER_DEG + 0.5 * self.layer.shape[1])
+        return int(np.round(off_deg * _PIXELS_PER_DEG + 0.5 * self.layer.shape[1]))
 
     def fill(
         self, top_deg: FloatArray, bottom_deg: FloatArray, colour: FloatArray, grain: Image32

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from sightline.simulation.camera import SimulatedCamera
-from sightline.simulation.scenery import Panorama, hazy, noise_tile, random_profile
+from sightline.simulation.scenery import Image32, Panorama, hazy, noise_tile, random_profile
 from sightline.types import FloatArray
 
 Kind = Literal["house", "block", "shed", "crane", "tree", "car"]
@@ -209,10 +209,10 @@ class _Painter:
     """Paints features into a panorama."""
 
     def __init__(
-        self, painting: Panorama, camera: SimulatedCamera, shore: Shore, grain: FloatArray
+        self, painting: Panorama, camera: SimulatedCamera, shore: Shore, grain: Image32
     ) -> None:
         self._painting, self._camera, self._shore = painting, camera, shore
-        self._grain = np.asarray(grain, dtype=np.float32)
+        self._grain = grain
 
     def _row(self, up_m: float, range_m: float) -> int:
         elevation = np.degrees(np.arctan((up_m - self._camera.height_m) / range_m))
