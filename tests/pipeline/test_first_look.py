@@ -166,7 +166,7 @@ def test_a_page_of_what_was_found_is_written(tmp_path: Path) -> None:
     scene = Scene.load(video.scene)
     told: list[FirstLook] = []
     looker = FirstLooker(told.append)
-    seen = SceneDetections(scene, _Known(boxes), looker=looker)
+    seen = SceneDetections(scene, _Known(boxes), observer=looker)
     found = seen.boxes(scene.recordings[0])
     (look,) = told
     assert look is looker.look

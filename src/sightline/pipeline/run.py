@@ -134,7 +134,7 @@ def run(
     )
     tell = progress or (lambda _what, _share: None)
     looker = FirstLooker(first_look)
-    seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene), looker=looker)
+    seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene), observer=looker)
     _look_at_tables(scene, looker)
     tell("fitting", float("nan"))
     by_camera, scene = scene, settled(scene) if _drawn(scene) else scene

@@ -38,7 +38,7 @@ def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
     return dict(made.lower_edges) if isinstance(made, OnnxDetector) else {}
 
 
-class Looker(Protocol):
+class DetectionObserver(Protocol):
     """Looks along while a detector goes through a recording."""
 
     def begin(self, recording: Recording) -> bool:
@@ -75,7 +75,7 @@ class SceneDetections:
         progress: Progress | None = None,
         *,
         stills: bool = False,
-        looker: Looker | None = None,
+        observer: DetectionObserver | None = None,
     ) -> None:
         """Take the detector's name.
 
@@ -85,7 +85,7 @@ class SceneDetections:
             progress: Told how far it is.
             stills: Whether still pictures will be asked for too: then they are made in the
                 detector's pass, and none of their own is needed.
-            looker: Sees boxes as they are found.
+            observer: Sees boxes as they are found.
 
         Raises:
             InputError: The detector is not known.
@@ -96,7 +96,7 @@ class SceneDetections:
         self._detector = detector
         self._tell = progress or (lambda _what, _share: None)
         self._stills_wanted = stills
-        self._looker = looker
+        self._observer = observer
         self._found: dict[str, tuple[Boxes, FloatArray]] = {}
         self._stills: dict[str, NDArray[np.uint8]] = {}
         self.tally = Tally(scene.path)
@@ -161,11 +161,11 @@ class SceneDetections:
         if still_standing and not static_intervals_known(recording):
             static_intervals = StaticIntervalMonitor()
             observers.append(static_intervals)
-        looker = self._looker
-        if looker is not None and looker.begin(recording):
-            observers.append(looker)
+        observer = self._observer
+        if observer is not None and observer.begin(recording):
+            observers.append(observer)
         else:
-            looker = None
+            observer = None
         where = f"recording {recording.name}"
         frames = usable(recording.by_camera().frames(), self._scene.image_size_px, where)
         found: list[Boxes] = []
@@ -176,10 +176,10 @@ class SceneDetections:
             lambda _what, share: self._tell(f"detecting in {recording.name}", share),
         ):
             found.append(own)
-            if looker is not None:
-                looker.see(own, times.utc_s[len(found) - 1])
-        if looker is not None:
-            looker.end()
+            if observer is not None:
+                observer.see(own, times.utc_s[len(found) - 1])
+        if observer is not None:
+            observer.end()
         boxes = recording.unmasked(Boxes.concatenate(found), self.tally)
         self._found[recording.name] = boxes, np.array(times.utc_s)
         if static_intervals is not None:
