@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sightline import Scene, run
+from sightline.cli.run import with_sheet
 from sightline.errors import FitError
 from sightline.formats import read_boxes
 from sightline.pipeline.first_look import FirstLook, FirstLooker, first_look
@@ -185,3 +186,29 @@ def test_a_page_of_what_was_found_is_written(tmp_path: Path) -> None:
     none = tmp_path / "none.png"
     write_found(replace(look, pictures={}), none)
     assert not none.exists()
+
+
+def test_the_page_is_there_where_a_run_fails(made: Simulation, tmp_path: Path) -> None:
+    import cv2
+
+    boxes = _of(made, True)
+    first = boxes[boxes.frame == 0]
+    good, picture = cv2.imencode(".jpg", np.full((720, 1280, 3), 90, np.uint8))
+    assert good
+    look = FirstLook(
+        recording="01",
+        seconds=60.0,
+        frames=1,
+        boxes=first,
+        moving=np.ones(len(first), dtype=bool),
+        moored=np.zeros(len(first), dtype=bool),
+        log_goes=True,
+        pictures={0: picture.tobytes()},
+    )
+    told = with_sheet(FitError("nobody is recognised"), look, tmp_path / "results")
+    assert "results-found.png" in str(told)
+    assert (tmp_path / "results-found.png").exists()
+    # A file that is there is somebody's.
+    again = with_sheet(FitError("nobody is recognised"), look, tmp_path / "results")
+    assert str(again) == "nobody is recognised"
+    assert str(with_sheet(FitError("no"), None, tmp_path / "other")) == "no"

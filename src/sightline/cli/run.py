@@ -110,7 +110,7 @@ def run(
                 first_look=look.tell,
             )
         except FitError as error:
-            raise _with_sheet(error, look.seen, output) from error
+            raise with_sheet(error, look.seen, output) from error
         tell("writing the results", float("nan"))
         written = write_run_files(result, folder.work, output)
         check_earlier_run(written, folder.work, output)
@@ -139,7 +139,7 @@ class _Look:
             warn(line)
 
 
-def _with_sheet(error: FitError, look: FirstLook | None, output: Path) -> FitError:
+def with_sheet(error: FitError, look: FirstLook | None, output: Path) -> FitError:
     """What a run failed by; what was found is shown beside where its results would have been."""
     from sightline.reporting.run_report import write_found
 

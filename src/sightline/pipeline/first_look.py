@@ -29,6 +29,7 @@ MOSTLY = 0.8
 """Share of the time for which a log is under way, so that what stays is not its vessel."""
 
 _PICTURES = 10
+_FIRST_S = 1.0
 _QUALITY = 92
 
 
@@ -206,6 +207,9 @@ class FirstLooker:
         """Observe a frame, of which some are kept."""
         if self.look is not None:
             return
+        if np.isneginf(self._next_s):
+            # Nobody is followed yet.
+            self._next_s = frame.time_utc_s + _FIRST_S
         if frame.time_utc_s >= self._next_s and len(self._pictures) < _PICTURES:
             self._next_s = frame.time_utc_s + LOOK_S / _PICTURES
             quality = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
