@@ -101,7 +101,8 @@ def test_moored_boats_are_told_as_moored_and_others_are_not(
     tracks = {one.track_id: one for one in track(boxes, model)}
     told = []
     for boat in harbour.boats:
-        if boat.identity not in tracks or np.ptp(tracks[boat.identity].time_utc_s) < 120.0:
+        # Of who is hidden behind others most of the time nobody can tell.
+        if (boxes.track_id == boat.identity).sum() < 0.3 * times.size:
             continue
         share = float(np.mean(tracks[boat.identity].moored))
         if boat.path.moves:
@@ -161,7 +162,10 @@ def test_the_model_knows_the_place_from_the_first_frame(
     known = {one.track_id for one in track(short, again) if one.never_moves}
     assert not alone
     assert known <= still
-    assert len(known) > 12
+    seen, count = np.unique(short.track_id, return_counts=True)
+    lasting = still & set(seen[count > 30].tolist())
+    assert len(lasting) > 5
+    assert len(known & lasting) >= 0.8 * len(lasting)
 
 
 def test_a_log_under_way_is_of_nothing_that_never_moves() -> None:
