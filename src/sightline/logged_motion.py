@@ -21,9 +21,14 @@ from sightline.types import BoolArray, FloatArray, IntArray
 LONGEST_GAP_S = 120.0
 """In a longer gap a vessel may have been anywhere."""
 
+SLOWEST_MPS = 0.514
+"""A knot: with less a rudder does not steer, and a vessel is not under way."""
+
 LARGEST_SIGMA_M = 40.0
 """A place that is less certain than this tells nothing."""
 
+# Over so long a knot is ten metres, more than a receiver is off.
+_WINDOW_S = 20.0
 # Medians before any fix, and standard deviations of the logarithms: a boat that is steered by hand,
 # and a receiver of a phone's grade.
 _DENSITY_M2PS3, _DENSITY_WIDTH = 0.5, 1.5
@@ -274,3 +279,23 @@ def _hermite(u: FloatArray, span_s: float) -> tuple[FloatArray, FloatArray]:
 def usable(states: GapStates) -> BoolArray:
     """(N,) whether places in gaps are certain enough to count."""
     return np.asarray(states.sigma_m <= LARGEST_SIGMA_M)
+
+
+def under_way(time_s: FloatArray, east_north_m: FloatArray, at_s: FloatArray) -> BoolArray:
+    """(N,) whether a logged vessel is under way: faster than a knot over 20 s.
+
+    Args:
+        time_s: (K,) of its fixes, never decreasing.
+        east_north_m: (K, 2) metres.
+        at_s: (N,) when it is asked for; before and after the log it is not under way.
+    """
+    if time_s.size < 2:
+        return np.zeros(at_s.shape, dtype=bool)
+    begin = np.clip(at_s - 0.5 * _WINDOW_S, time_s[0], time_s[-1])
+    end = np.clip(at_s + 0.5 * _WINDOW_S, time_s[0], time_s[-1])
+    moved = [
+        np.interp(end, time_s, column) - np.interp(begin, time_s, column)
+        for column in east_north_m.T
+    ]
+    inside = (at_s >= time_s[0]) & (at_s <= time_s[-1])
+    return np.asarray(inside & (np.hypot(*moved) > SLOWEST_MPS * (end - begin)))

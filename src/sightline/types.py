@@ -702,6 +702,9 @@ class Track(Columns):
         kind: (N,) int8, a `PointKind` a row.
         plane: Where the origin lies on the earth.
         label: The class of the target, or ``""``.
+        moored: (N,) bool, whether the target stayed in its place, as what is moored does, and
+            houses and buoys that are taken for boats. Absent: nowhere.
+        untold: Whether too little was seen of the target to tell if it moves elsewhere.
 
     Examples:
         >>> track = sightline.Tracks.read("tracks.geojson")[0]
@@ -724,6 +727,8 @@ class Track(Columns):
     kind: NDArray[np.int8]
     plane: LocalPlane
     label: str = ""
+    moored: BoolArray | None = None
+    untold: bool = False
 
     _row_fields = (
         "time_utc_s",
@@ -734,6 +739,7 @@ class Track(Columns):
         "covariance_m2",
         "velocity_covariance_m2ps2",
         "kind",
+        "moored",
     )
 
     def __post_init__(self) -> None:
@@ -741,6 +747,9 @@ class Track(Columns):
         for name in self._row_fields:
             if name == "kind":
                 _freeze(self, name, self.kind, np.int8, (n,))
+            elif name == "moored":
+                moored = np.zeros(n, dtype=bool) if self.moored is None else self.moored
+                _freeze(self, name, moored, np.bool_, (n,))
             elif "covariance" in name:
                 _freeze(self, name, getattr(self, name), np.float64, (n, 2, 2))
             else:
@@ -766,6 +775,12 @@ class Track(Columns):
     def longitude_deg(self) -> FloatArray:
         """(N,) degrees east."""
         return self.plane.to_geographic(self.east_m, self.north_m)[1]
+
+    @property
+    def never_moves(self) -> bool:
+        """Whether the target stayed in its place for the whole track."""
+        assert self.moored is not None, "filled in"
+        return bool(len(self) and self.moored.all())
 
     @property
     def speed_mps(self) -> FloatArray:

@@ -116,7 +116,7 @@ def test_geojson_as_its_standard_has_it(tmp_path: Path) -> None:
     ]
     known = feature["properties"]
     assert set(known) == {
-        *("track_id", "time", "speed_mps", "course_deg", "kind", "label"),
+        *("track_id", "time", "speed_mps", "course_deg", "kind", "state", "label"),
         *("semi_major_m", "semi_minor_m", "ellipse_bearing_deg"),
     }
     assert len(known["time"]) == len("2020-09-30T12:00:00.000Z")

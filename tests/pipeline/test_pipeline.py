@@ -42,6 +42,7 @@ class FromAbove:
     camera: None = None
     horizon_px: None = None
     moving: bool = False
+    static_places: None = None
 
     def check_water(self, given: bool) -> None:
         assert not given

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.tracking import ImageTracker
-from sightline.types import NO_TRACK, Boxes, FloatArray, IntArray
+from sightline.tracking.static_map import PASSED_BY, StaticMap
+from sightline.types import NO_TRACK, BoolArray, Boxes, FloatArray, IntArray
 
 BIN_S = 0.5
 """Boxes of one track within this time count as one: a detector's errors are correlated as long."""
@@ -48,7 +49,7 @@ class TrackObservations:
         return int(self.time_utc_s.size)
 
 
-def observe(boxes: Boxes) -> TrackObservations:
+def observe(boxes: Boxes, *, moving_only: bool = False) -> TrackObservations:
     """Thin the boxes of a recording to observations.
 
     Boxes without track ids are followed in the image where they come often enough; where they do
@@ -56,6 +57,7 @@ def observe(boxes: Boxes) -> TrackObservations:
 
     Args:
         boxes: (M,) of anything, with times.
+        moving_only: Whether to leave out what stays in its place.
     """
     boxes = boxes[np.argsort(boxes.time_utc_s, kind="stable")]
     moments = np.unique(boxes.time_utc_s)
@@ -63,6 +65,8 @@ def observe(boxes: Boxes) -> TrackObservations:
     followed = bool(interval_s <= _FOLLOWABLE_S)
     if followed and (boxes.track_id == NO_TRACK).all():
         boxes = _followed(boxes)
+    if moving_only:
+        boxes = boxes[~_staying(boxes, followed)]
     track = _tracks(boxes) if followed else np.arange(len(boxes))
     cell = np.floor((boxes.time_utc_s - boxes.time_utc_s.min(initial=np.inf)) / BIN_S)
     if not len(boxes):
@@ -106,6 +110,21 @@ def _followed(boxes: Boxes) -> Boxes:
     cuts = np.flatnonzero(np.diff(boxes.time_utc_s) > 0.0) + 1
     parts = np.split(np.arange(len(boxes)), cuts)
     return Boxes.concatenate([tracker.update(boxes[rows]) for rows in parts if rows.size])
+
+
+def _staying(boxes: Boxes, followed: bool) -> BoolArray:
+    """(M,) whether each box is of something that stays in its place."""
+    learned = StaticMap()
+    learned.update(boxes)
+    learned.finish()
+    alone: BoolArray = np.asarray(learned.at(boxes) != PASSED_BY)
+    if not followed:
+        return alone
+    out = np.zeros(len(boxes), dtype=bool)
+    for key in np.unique(boxes.track_id):
+        rows = np.flatnonzero(boxes.track_id == key)
+        out[rows] = alone[rows] if key == NO_TRACK else learned.staying(boxes[rows])
+    return out
 
 
 def _tracks(boxes: Boxes) -> IntArray:

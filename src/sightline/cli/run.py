@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +16,7 @@ from sightline.cli.common import (
     folder_for_results,
     progress,
     say,
+    say_aside,
     warn,
     write_result,
 )
@@ -38,9 +40,11 @@ from sightline.cli.options import (
 )
 from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.replacing import keep_others, kind_of_result
+from sightline.errors import FitError, SightlineError
 
 if TYPE_CHECKING:
     from sightline.detection import Detector
+    from sightline.pipeline.first_look import FirstLook
     from sightline.pipeline.run import RunResult
 
 
@@ -93,15 +97,20 @@ def run(
     if looking != DetectorOptions() or (takes_options(detector) and loaded.looking.rotates):
         over = looking.over(loaded.looking) if takes_options(detector) else looking
         looks = make_detector(detector, None, over)
+    look = _Look()
     with folder_for_results(output, inputs) as folder, progress() as tell:
-        result = run_scene(
-            loaded,
-            model=model,
-            detector=looks,
-            settings=TrackSettings(trajectory=trajectory, interval_s=interval_s),
-            seed=seed,
-            progress=tell,
-        )
+        try:
+            result = run_scene(
+                loaded,
+                model=model,
+                detector=looks,
+                settings=TrackSettings(trajectory=trajectory, interval_s=interval_s),
+                seed=seed,
+                progress=tell,
+                first_look=look.tell,
+            )
+        except FitError as error:
+            raise with_sheet(error, look.seen, output) from error
         tell("writing the results", float("nan"))
         written = write_run_files(result, folder.work, output)
         check_earlier_run(written, folder.work, output)
@@ -114,6 +123,34 @@ def run(
     for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
         say(line)
     attempts.check()
+
+
+@dataclass
+class _Look:
+    """Tells at once what the first minute shows, and keeps it."""
+
+    seen: FirstLook | None = None
+
+    def tell(self, look: FirstLook) -> None:
+        self.seen = look
+        first, *more = look.sentences()
+        say_aside("seen:", first, "cyan")
+        for line in more:
+            warn(line)
+
+
+def with_sheet(error: FitError, look: FirstLook | None, output: Path) -> FitError:
+    """What a run failed by; what was found is shown beside where its results would have been."""
+    from sightline.reporting.run_report import write_found
+
+    sheet = output.with_name(f"{output.name}-found.png")
+    if look is None or not look.pictures or sheet.exists():
+        return error
+    try:
+        write_found(look, sheet)
+    except (SightlineError, OSError):
+        return error
+    return FitError(f"{error}; what was found is shown in {sheet}") if sheet.exists() else error
 
 
 def tell_result(result: RunResult, paths: dict[str, Path]) -> None:
@@ -151,6 +188,13 @@ def result_dict(result: RunResult, paths: dict[str, Path]) -> dict[str, object]:
             "used_s": clock.used_s,
         }
         for name, clock in result.clocks.items()
+    }
+    out["first_look"] = None if result.first_look is None else result.first_look.to_dict()
+    out["moored_per_recording"] = {
+        name: sum(track.never_moves for track in tracks) for name, tracks in result.tracks.items()
+    }
+    out["untold_per_recording"] = {
+        name: sum(track.untold for track in tracks) for name, tracks in result.tracks.items()
     }
     out["left_out_of_area"] = dict(result.left_out_of_area)
     out["notes"] = [*result.notes, *result.model.report.statements]

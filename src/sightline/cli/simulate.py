@@ -30,6 +30,13 @@ def simulate(
     moving: Annotated[
         bool, typer.Option("--moving", help="The camera is on a vessel under way in a swell.")
     ] = False,
+    shore: Annotated[
+        bool,
+        typer.Option("--shore", help="A town with a port and moored boats lies behind the water."),
+    ] = False,
+    moored: Annotated[
+        int, typer.Option(min=0, max=200, help="How many boats lie along the shore.")
+    ] = 30,
     seed: SeedOption = 0,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
@@ -53,6 +60,8 @@ def simulate(
                 clock=kind,
                 video=video,
                 moving=moving,
+                shore=shore,
+                moored=moored,
             ),
             progress=lambda share: tell("rendering", share),
         )

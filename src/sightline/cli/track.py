@@ -37,7 +37,7 @@ from sightline.cli.replacing import check_holds_tracks, keep_others
 from sightline.errors import BrokenOffError, InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from sightline.clock_offset import ClockOffset
     from sightline.types import Track
@@ -166,6 +166,9 @@ def track(
             help="Compensate camera rotation seen in the video.",
         ),
     ] = True,
+    moving_only: Annotated[
+        bool, typer.Option("--moving-only", help="Leave out tracks of what never moves.")
+    ] = False,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
@@ -249,10 +252,10 @@ def track(
                 mask=mask,
                 settings=settings,
                 progress=tell,
-                forecasts=forecasts.add if ahead else None,
+                forecasts=_add_to(forecasts, moving_only=moving_only) if ahead else None,
                 stop=stop,
             )
-            summary = _write(found, tracks, is_stream(source))
+            summary = _write(found, tracks, is_stream(source), moving_only=moving_only)
             tracks.finish()
             forecasts.finish()
     if stop.is_set():
@@ -264,6 +267,9 @@ def track(
     result: dict[str, object] = {
         "tracks": summary.tracks,
         "points": summary.points,
+        "moving": summary.tracks - summary.moored - summary.untold,
+        "moored": summary.moored,
+        "untold": summary.untold,
         "files": [str(path) for path in tracks.written],
         "complete": summary.broken is None and not stop.is_set(),
     }
@@ -278,7 +284,7 @@ def track(
         result["clock_offset_s"] = clock_offset_s
     with attempts.one():
         write_result(json, result)
-    say(f"{summary.tracks} tracks, {summary.points} points")
+    say(f"{summary.tracks} tracks, {summary.points} points{_of_which(summary)}")
     for line in [] if isinstance(looks, str) else tiles_in_turn(looks):
         say(line)
     if left_out:
@@ -298,17 +304,46 @@ class _Summary:
 
     tracks: int = 0
     points: int = 0
+    moored: int = 0
+    untold: int = 0
     broken: Exception | None = None
 
 
-def _write(found: Iterator[Track], tracks: Outputs[Track], stream: bool) -> _Summary:
+def _of_which(summary: _Summary) -> str:
+    """How many tracks move, where some do not."""
+    still = summary.moored + summary.untold
+    if not still:
+        return ""
+    return (
+        f"; of the tracks {summary.tracks - still} moving, {summary.moored} moored, "
+        f"{summary.untold} not told"
+    )
+
+
+def _add_to(outputs: Outputs[Track], *, moving_only: bool) -> Callable[[Track], None]:
+    """What writes forecasts, if need be without those of what never moves."""
+
+    def add(forecast: Track) -> None:
+        if not (moving_only and forecast.never_moves):
+            outputs.add(forecast)
+
+    return add
+
+
+def _write(
+    found: Iterator[Track], tracks: Outputs[Track], stream: bool, *, moving_only: bool
+) -> _Summary:
     """Write tracks to the end of their source; of a stream whatever ends it."""
     summary = _Summary()
     try:
         for made in found:
+            if moving_only and made.never_moves:
+                continue
             tracks.add(made)
             summary.tracks += 1
             summary.points += len(made)
+            summary.moored += made.never_moves
+            summary.untold += made.untold
     except BrokenOffError as error:
         summary.broken = error
     except Exception as error:

@@ -31,6 +31,7 @@ from sightline.evaluation.metrics import (
     pair_track,
     relative_error,
 )
+from sightline.logged_motion import under_way
 from sightline.platform import Platform
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.text import json_text
@@ -65,7 +66,8 @@ class TracksUsed:
 
     Attributes:
         used: Their ids, one a recording (or as many as were named).
-        overlapping: How many tracks overlap the log in time.
+        overlapping: How many tracks overlap the log in time, without those that never move while
+            the log does.
         chosen_by: ``"track_id"`` if the caller named them, ``"smallest median error"`` if the log
             decided. The latter flatters a tracker that breaks the target into pieces.
     """
@@ -334,6 +336,8 @@ def evaluate_tracks(
             least_overlap_s=least_overlap_s,
             where=_where(name),
         )
+    if not any(map(len, parts.values())):
+        _refuse_moored(everyone, logs)
     times = np.concatenate([track.time_utc_s for track in everyone])
     _refuse_nothing(ScoredPairs.concatenate(parts.values()), times, logs, largest_gap_s)
     if not isinstance(tracks, Mapping):
@@ -357,7 +361,8 @@ def pair_target(
     Args:
         tracks: Of one recording.
         fixes: The log.
-        wanted: The ids of the target's tracks; absent: the nearest track is the target.
+        wanted: The ids of the target's tracks; absent: the nearest track is the target, of those
+            that never move only while the log does not either.
         largest_gap_s: Times between fixes that are further apart are not compared.
         least_overlap_s: Seconds.
         platform: What the camera stood on, where that moved.
@@ -371,6 +376,7 @@ def pair_target(
         InputError: Two tracks have the same id.
     """
     paired: dict[int, ScoredPairs] = {}
+    tracks = list(tracks)
     for track in tracks:
         if track.track_id in paired:
             raise InputError(
@@ -387,6 +393,12 @@ def pair_target(
     if wanted is not None:
         chosen, by = [number for number in paired if number in wanted], "track_id"
     else:
+        still = {track.track_id for track in tracks if track.never_moves}
+        overlapping = {
+            number: pairs
+            for number, pairs in overlapping.items()
+            if not (number in still and _log_goes(pairs))
+        }
         chosen = _nearest(overlapping, least_overlap_s)
         chosen += _continued(chosen, overlapping)
         by = "smallest median error"
@@ -423,6 +435,12 @@ def _nearest(candidates: Mapping[int, ScoredPairs], least_overlap_s: float) -> l
         least = _AS_LONG * max(overlap[number] for number in agreeing)
         long_enough = [number for number in agreeing if overlap[number] >= least]
     return [min(long_enough, key=lambda number: float(np.median(candidates[number].error_m)))]
+
+
+def _log_goes(pairs: ScoredPairs) -> bool:
+    """Whether the log is under way for most of the time of a track."""
+    log = np.stack([pairs.true_east_m, pairs.true_north_m], axis=1)
+    return bool(under_way(pairs.time_utc_s, log, pairs.time_utc_s).mean() > 0.5)
 
 
 def _agrees(pairs: ScoredPairs) -> bool:
@@ -466,6 +484,21 @@ def _log_of(fixes: Fixes | Mapping[str, Fixes], name: str) -> Fixes:
 
 def _where(name: str) -> str:
     return f"recording {name}: " if name else ""
+
+
+def _refuse_moored(tracks: list[Track], logs: list[Fixes]) -> None:
+    """Raise InputError where tracks overlap the log, and none of them moves."""
+    overlap = any(
+        track.time_utc_s[0] <= log.time_utc_s[-1] and track.time_utc_s[-1] >= log.time_utc_s[0]
+        for track in tracks
+        for log in logs
+        if len(track) and len(log)
+    )
+    if overlap and all(track.never_moves for track in tracks):
+        raise InputError(
+            "every track stays in its place (moored) while the log is under way, so none is of its "
+            "vessel; name its track_id if that is wrong"
+        )
 
 
 def _refuse_nothing(

@@ -15,10 +15,13 @@ from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.geodesy import LocalPlane
 from sightline.text import encodable_text
-from sightline.types import FloatArray, PointKind, Track, ellipses, from_datetime64
+from sightline.types import BoolArray, FloatArray, PointKind, Track, ellipses, from_datetime64
 
 KINDS = tuple(kind.name.lower() for kind in PointKind)
 """The word for each `PointKind`, by its value."""
+
+MOVING, MOORED, UNTOLD = "moving", "moored", "untold"
+"""Whether a target stays in its place at a point of its track, or nobody knows."""
 
 REQUIRED = ("track_id", "time_utc", "latitude_deg", "longitude_deg")
 """Columns without which a table holds no tracks."""
@@ -37,6 +40,7 @@ _PLAIN = (str, int, float, date, np.generic, type(None), type(pd.NaT))
 COLUMNS = (
     *("track_id", "time_utc", *_MEASURES, "kind", "label"),
     *(*_COVARIANCE, *_VELOCITY_COVARIANCE, *_ELLIPSE),
+    "state",
 )
 """The columns of a table of tracks, in their order."""
 
@@ -44,8 +48,8 @@ COLUMNS = (
 def columns(track: Track) -> dict[str, NDArray[Any]]:
     """The columns of a track's table that a point has of its own, but for its time.
 
-    Degrees are rounded to nine places (0.1 mm). ``kind`` is a word of `KINDS`; the ellipse holds
-    the true position with 95 %.
+    Degrees are rounded to nine places (0.1 mm). ``kind`` is a word of `KINDS`, ``state`` `MOORED`,
+    `MOVING` or `UNTOLD`; the ellipse holds the true position with 95 %.
     """
     ellipse = ellipses(track.covariance_m2, _PROBABILITY)
     latitude, longitude = track.plane.to_geographic(track.east_m, track.north_m)
@@ -55,6 +59,7 @@ def columns(track: Track) -> dict[str, NDArray[Any]]:
         "speed_mps": np.round(track.speed_mps, 6),
         "course_deg": np.round(track.course_deg, 6),
         "kind": np.array(KINDS)[track.kind],
+        "state": np.where(np.asarray(track.moored), MOORED, UNTOLD if track.untold else MOVING),
     }
     places |= dict(zip(_COVARIANCE, _triangle(track.covariance_m2), strict=True))
     places |= dict(
@@ -155,7 +160,8 @@ def tracks(
         path: Where the table is from, for messages.
         rows: Columns track_id, latitude_deg, longitude_deg and time_utc_s; optionally those of
             `table`. Without speed and course, velocities are differences of places; without
-            covariances, they come from the ellipse or are NaN; without a kind, points are measured.
+            covariances, they come from the ellipse or are NaN; without a kind, points are measured;
+            without a state, they are moving.
         plane: The plane of the tracks; None: one at the first point.
 
     Raises:
@@ -198,6 +204,8 @@ def _track(rows: pd.DataFrame, plane: LocalPlane) -> Track:
         kind=_kinds(rows),
         plane=plane,
         label=_label(rows),
+        moored=_in_state(rows, MOORED),
+        untold=bool(_in_state(rows, UNTOLD).any()),
     )
 
 
@@ -243,6 +251,13 @@ def _kinds(rows: pd.DataFrame) -> np.ndarray:
         unknown = _files.shortened(str(rows["kind"][kinds.isna()].iloc[0]))
         raise InputError(f"unknown kind {unknown!r}; known are {', '.join(KINDS)}")
     return kinds.to_numpy(dtype=np.int8)
+
+
+def _in_state(rows: pd.DataFrame, state: str) -> BoolArray:
+    """Where a target is in a state; other programs may have any words in such a column."""
+    if "state" not in rows:
+        return np.zeros(len(rows), dtype=bool)
+    return np.array([word == state for word in rows["state"]], dtype=bool)
 
 
 def _label(rows: pd.DataFrame) -> str:

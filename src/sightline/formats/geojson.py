@@ -25,6 +25,7 @@ _PROPERTIES = (
     "semi_major_m",
     "semi_minor_m",
     "ellipse_bearing_deg",
+    "state",
     "label",
 )
 

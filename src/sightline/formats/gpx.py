@@ -135,6 +135,8 @@ class GpxTrackWriter:
         label = _files.xml_text(track.label)
         out = gpxpy.gpx.GPXTrack(name=f"{label or 'track'} {track.track_id}", number=track.track_id)
         out.type = label or None  # type: ignore[assignment]
+        if track.never_moves:
+            out.comment = "moored"
         out.segments = [_segment(track.time_utc_s, track.latitude_deg, track.longitude_deg)]
         self._file.write(_xml(out))
 

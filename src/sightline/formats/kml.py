@@ -37,6 +37,8 @@ class KmlTrackWriter:
     def add(self, track: Track) -> None:
         """Write one track."""
         name = f"{_files.xml_text(track.label) or 'track'} {track.track_id}"
+        if track.never_moves:
+            name += " (moored)"
         times = _files.rfc3339(track.time_utc_s).tolist()
         places = zip(track.longitude_deg.tolist(), track.latitude_deg.tolist(), strict=True)
         # In the order of Google's schema: the mode, all times, all places.

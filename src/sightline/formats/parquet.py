@@ -15,7 +15,7 @@ from sightline.errors import InputError
 from sightline.formats import _files, _track_table
 from sightline.types import Track
 
-_TEXTS = ("label", "kind")
+_TEXTS = ("label", "kind", "state")
 _LONGEST_TEXT = 1000
 _MOST_ROWS = 20_000_000
 

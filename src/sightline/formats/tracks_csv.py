@@ -53,7 +53,7 @@ def read_csv_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     Raises:
         InputError: A column is missing, or a cell cannot be understood.
     """
-    (rows,) = _files.table(path, required=_track_table.REQUIRED, text=("label", "kind"))
+    (rows,) = _files.table(path, required=_track_table.REQUIRED, text=("label", "kind", "state"))
     rows["time_utc_s"] = _files.times(path, rows["time_utc"])
     rows["track_id"] = _files.whole_numbers(path, rows["track_id"])
     for name in ("latitude_deg", "longitude_deg"):

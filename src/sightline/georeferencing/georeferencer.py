@@ -28,6 +28,7 @@ from sightline.georeferencing.models import BoxModel, ModelType, model_type
 from sightline.georeferencing.placement import Placement
 from sightline.georeferencing.support import Support
 from sightline.platform import Pose, on_earth
+from sightline.tracking.static_map import StaticPlaces
 from sightline.types import (
     BodyPositions,
     BoolArray,
@@ -77,6 +78,8 @@ class Georeferencer:
             the datum of the scene's water levels; None where the water was taken to stand still.
         view: Reference view of the static scene, against which later frames show whether the camera
             was rotated since; None where there were no frames.
+        static_places: Where in the image something stays, as the camera lay for the model; None
+            where that was not learned.
     """
 
     model: str
@@ -89,6 +92,7 @@ class Georeferencer:
     moving: bool = False
     view: ReferenceView | None = None
     water_level_m: float | None = None
+    static_places: StaticPlaces | None = None
 
     @property
     def camera(self) -> Camera | None:
@@ -356,6 +360,8 @@ class Georeferencer:
         if self.view is not None:
             tensors |= {f"view.{name}": getattr(self.view, name) for name in _VIEW}
             content["view_landmarks"] = self.view.landmarks
+        if self.static_places is not None:
+            tensors["static_places"] = self.static_places.to_array()
         return write_model_file(path, content, tensors)
 
 
@@ -412,6 +418,9 @@ def _build(
         moving=bool(content.get("moving", False)),
         water_level_m=_finite(content.get("water_level_m")),
         view=_view(tensors, bool(content.get("view_landmarks", True))),
+        static_places=StaticPlaces.of_array(tensors["static_places"])
+        if "static_places" in tensors
+        else None,
     )
 
 

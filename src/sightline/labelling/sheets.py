@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -70,6 +71,39 @@ def contact_sheets(proposals: Proposals, recording: Recording, folder: Path) -> 
         _write(_page(cells[first : first + per_page]), path)
         pages.append(path)
     return pages
+
+
+@dataclass(frozen=True, eq=False)
+class SheetBox:
+    """A box on its picture, for a contact sheet.
+
+    Attributes:
+        image_bgr: (H, W, 3) the picture.
+        xyxy_px: (4,) the box.
+        caption: What stands above it.
+        sure: Whether its frame is green; else it is orange.
+    """
+
+    image_bgr: Image
+    xyxy_px: FloatArray
+    caption: str
+    sure: bool = True
+
+
+def write_sheet(boxes: Sequence[SheetBox], path: Path) -> None:
+    """Write boxes as one page of pictures, cut out and enlarged; at most twenty.
+
+    Raises:
+        InputError: It cannot be written, or there is no box.
+    """
+    if not boxes:
+        raise InputError(f"{path}: there is no box to show")
+    nowhere = np.full(4, np.nan)
+    cells = [
+        _cell(one.image_bgr, one.xyxy_px, one.xyxy_px, nowhere, float(one.sure), one.caption)
+        for one in boxes[: _COLUMNS * _ROWS]
+    ]
+    _write(_page(cells), path)
 
 
 def _cell(

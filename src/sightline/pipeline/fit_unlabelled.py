@@ -26,6 +26,7 @@ from sightline.georeferencing.fit import fit as fit_inputs
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.georeferencing.models import DEFAULT_MODEL, ModelType, model_type
 from sightline.georeferencing.recalibration import detect_camera_change, prior_of
+from sightline.pipeline.first_look import NOTHING_MOVES, log_goes
 from sightline.pipeline.fit import fit
 from sightline.progress import Progress
 from sightline.reference_trajectory import ReferenceTrajectory
@@ -182,7 +183,12 @@ def associate_scene(
         and (own := _boxes_of_anything(recording, seen)) is not None
         and len(own)
     }
-    observed = {name: observe(some) for name, some in boxes.items()}
+    observed = {
+        name: observe(some, moving_only=log_goes(scene[name], plane, np.unique(some.time_utc_s)))
+        for name, some in boxes.items()
+    }
+    if boxes and not any(map(len, observed.values())):
+        raise FitError(f"{scene.path}: {NOTHING_MOVES}")
     tell("recognising the logged vessels", float("nan"))
     refused: FitError | None = None
     found: list[Association] = []

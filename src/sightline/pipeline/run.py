@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from sightline.camera.state import ObservedBoxes
 from sightline.clock_offset import ClockOffset
 from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import FitError
@@ -25,7 +26,9 @@ from sightline.pipeline.evaluate import (
     place_boxes,
     recordings_with_correspondences,
 )
+from sightline.pipeline.first_look import FirstLook, FirstLooker
 from sightline.pipeline.fit_unlabelled import fit_scene
+from sightline.pipeline.moored import learn_places
 from sightline.pipeline.sources import (
     LOOKED_AT,
     FrameRateError,
@@ -68,6 +71,8 @@ class RunResult:
         single_learned_from: Single boxes likewise.
         clocks: By recording, how far its camera's clock is ahead of the log's. Where that is sure,
             the recording's tracks are in the log's time.
+        first_look: What the first minute of the first recording that has boxes of anything shows;
+            None where there is none.
         left_out_of_area: How many boxes and tracks were left out, since they lie outside of the
             scene's area or in its mask, by the reason.
     """
@@ -85,6 +90,7 @@ class RunResult:
     single_learned_from: Report | None = None
     clocks: Mapping[str, ClockOffset] = field(default_factory=dict)
     left_out_of_area: Mapping[str, int] = field(default_factory=dict)
+    first_look: FirstLook | None = None
 
 
 def run(
@@ -95,6 +101,7 @@ def run(
     settings: TrackSettings | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    first_look: Callable[[FirstLook], None] | None = None,
 ) -> RunResult:
     """Run the whole pipeline: detect where there are no boxes, fit, track, smooth, evaluate.
 
@@ -105,6 +112,7 @@ def run(
         settings: How boxes become tracks.
         seed: Of whatever is random in the fit.
         progress: Told how far it is.
+        first_look: Is given what the first minute shows, as soon as that was looked at.
 
     Raises:
         InputError: A file of the scene cannot be used.
@@ -125,7 +133,9 @@ def run(
         tally=Tally(scene.path),
     )
     tell = progress or (lambda _what, _share: None)
-    seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene))
+    looker = FirstLooker(first_look)
+    seen = SceneDetections(scene, detector, tell, stills=not _drawn(scene), observer=looker)
+    _look_at_tables(scene, looker)
     tell("fitting", float("nan"))
     by_camera, scene = scene, settled(scene) if _drawn(scene) else scene
     extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
@@ -136,6 +146,7 @@ def run(
         fitted = fit_inputs(inputs, FitSettings(model=kind, seed=seed))
     else:
         fitted = fit_scene(scene, kind, seed=seed, extra=extra, seen=seen, progress=tell)
+    fitted = _with_places(scene, fitted, seen, settings)
     models, failed = _leave_each_out(scene, inputs, kind, seed, extra, seen, tell)
     placed: list[LocatedRecording] = []
     if _drawn(scene):
@@ -158,6 +169,7 @@ def run(
     own = {one.recording: one.clock for one in placed if one.recording in models}
     left = _left_out(settings.tally, seen.tally)
     notes = (*clock_notes(own), *said, *tracked.notes, *_left_out_notes(left))
+    notes += () if looker.look is None else looker.look.sentences()[1:]
     if rest:
         notes = (_in_sample(rest if left_out else [], failed), *notes)
     return RunResult(
@@ -174,7 +186,42 @@ def run(
         single_learned_from=single_rest if left_out else None,
         clocks=fitted.report.clocks,
         left_out_of_area=left,
+        first_look=looker.look,
     )
+
+
+def _look_at_tables(scene: Scene, looker: FirstLooker) -> None:
+    """Look at the first recording, where its detections are there already."""
+    first = scene.recordings[0]
+    if first.boxes_path is None and first.detections_path is not None:
+        boxes = first.detections()
+        if np.isfinite(boxes.time_utc_s).all() and looker.begin(first):
+            boxes = boxes[np.argsort(boxes.time_utc_s, kind="stable")]
+            cuts = np.flatnonzero(np.diff(boxes.time_utc_s) > 0.0) + 1
+            for rows in np.split(np.arange(len(boxes)), cuts):
+                if rows.size:
+                    looker.see(boxes[rows], float(boxes.time_utc_s[rows[0]]))
+            looker.end()
+
+
+def _with_places(
+    scene: Scene, fitted: Georeferencer, seen: SceneDetections, settings: TrackSettings
+) -> Georeferencer:
+    """The model with what stays in the view of its camera, in all recordings."""
+    if fitted.moving or not settings.tell_moored:
+        return fitted
+    boxes: list[Iterable[ObservedBoxes]] = []
+    for recording in scene.recordings:
+        if recording.detections_path is not None:
+            found = recording.detections()
+        elif _unseen(recording):
+            found = seen.boxes(recording)
+        else:
+            continue
+        if len(found) and np.isfinite(found.time_utc_s).all():
+            history = recording_history(recording, fitted, pictures=settings.compensate_rotation)
+            boxes.append([history.observed(found)])
+    return replace(fitted, static_places=learn_places(boxes, fitted))
 
 
 def _left_out(*tallies: Tally | None) -> dict[str, int]:

@@ -22,6 +22,7 @@ from sightline.detection import Detector, detect, observe
 from sightline.errors import BrokenOffError, InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.camera_state import CameraMotionMonitor
+from sightline.pipeline.moored import MooredTeller
 from sightline.pipeline.sources import (
     Ending,
     FrameRateError,
@@ -102,6 +103,7 @@ class TrackSettings:
             taken off, so that the tracks are in that.
         area: Where targets can be: boxes with a place outside, and tracks that lie outside for the
             most part, are left out. None: anywhere.
+        tell_moored: Whether what never moves is learned and told apart in the tracks.
         tally: Told what the area and a mask leave out.
     """
 
@@ -116,6 +118,7 @@ class TrackSettings:
     compensate_rotation: bool = True
     clock_offset_s: float = 0.0
     area: Area | None = None
+    tell_moored: bool = True
     tally: Tally | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
@@ -385,30 +388,39 @@ def follow(
     book = _OpenTracks(settings, highest_id)
     boxes_seen = [0]
     compensated = map(model.compensated, _counted(batches, boxes_seen))
+    teller = MooredTeller(model, enabled=settings.tell_moored)
     if highest_id == NO_TRACK:
         tracker = _tracker(model, settings, platform)
         inside = _Inside(settings, model, platform)
-        ended = book.ended_by_moment(_followed(compensated, model, first_s, tracker, inside))
+        followed = _followed(compensated, model, first_s, tracker, _Before(inside, teller))
+        turns = book.turns(teller.finished(followed), by_moment=True)
     else:
-        ended = book.ended(compensated)
+        turns = book.turns(teller.learned(compensated))
     count = 0
-    for number, own in ended:
-        boxes = own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
-        if highest_id != NO_TRACK:
-            boxes = boxes[_Inside(settings, model, platform).rows(boxes)]
-        made = smooth_boxes(
-            boxes,
-            smoother,
-            settings,
-            track_id=number,
-            shortest_s=settings.shortest_s,
-            platform=platform,
-        )
-        if made is not None and _lies_in(made, settings):
+    waiting: list[tuple[Track, LocatedBoxes]] = []
+    for last, ended in turns:
+        for number, own in ended:
+            boxes = (
+                own if isinstance(own, LocatedBoxes) else model.place_compensated(_observed(own))
+            )
+            if highest_id != NO_TRACK:
+                boxes = boxes[_Inside(settings, model, platform).rows(boxes)]
+            made = smooth_boxes(
+                *(boxes, smoother, settings),
+                track_id=number,
+                shortest_s=settings.shortest_s,
+                platform=platform,
+            )
+            if made is not None and _lies_in(made, settings):
+                waiting.append((made, boxes))
+        known = [last or teller.knows(made) for made, _ in waiting]
+        for made, boxes in itertools.compress(waiting, known):
             count += 1
+            told = teller.told(made, boxes)
             if forecasts is not None:
-                forecasts(_forecast(boxes, settings, made, platform))
-            yield made
+                forecasts(_forecast(boxes, settings, told, platform))
+            yield told
+        waiting = [one for one, due in zip(waiting, known, strict=True) if not due]
     if count == 0:
         check_frame_rate(first_s, "boxes", model)
         if boxes_seen[0] and not ended_early():
@@ -454,6 +466,14 @@ class _Inside:
         return inside
 
 
+@dataclass(frozen=True)
+class _Before:
+    """What boxes pass before they are followed."""
+
+    inside: _Inside
+    teller: MooredTeller
+
+
 def _lies_in(track: Track, settings: TrackSettings) -> bool:
     """Whether a track lies in the area for the most part; one that does not is counted."""
     if settings.area is None:
@@ -491,7 +511,10 @@ def _forecast(
     state = known[-1:]
     step = min(settings.forecast_interval_s, settings.forecast_s)
     lags = np.arange(1, int(settings.forecast_s / step + 1e-9) + 1) * step
-    return state.forecast(lags, track_id=track.track_id, label=track.label)
+    ahead = state.forecast(lags, track_id=track.track_id, label=track.label)
+    assert track.moored is not None, "filled in"
+    stays = np.full(len(ahead), track.moored[-1], dtype=bool)
+    return replace(ahead, moored=stays, untold=track.untold)
 
 
 def _followed(
@@ -499,7 +522,7 @@ def _followed(
     model: Georeferencer,
     first_s: list[float],
     tracker: Tracker,
-    inside: _Inside,
+    before: _Before,
 ) -> Iterator[Boxes]:
     """Boxes with the track ids that a tracker assigns, in the order of time.
 
@@ -511,15 +534,16 @@ def _followed(
         model: Says where a box lies, as the tracker needs it.
         first_s: Is given the first of their times.
         tracker: Gives the ids.
-        inside: Tells which boxes it is given.
+        before: Tells which boxes it is given, and how sure they are.
     """
     several = tracker.follow if isinstance(tracker, TargetTracker) else None
     for boxes in groups_of_moments(batches, _LOCATED_MOMENTS):
         assert isinstance(boxes, ObservedBoxes), "parts of such have their state"
+        boxes = before.teller.lowered(boxes)
         located = boxes if isinstance(tracker, ImageTracker) else model.place_compensated(boxes)
         first_s += _first_times(boxes, _LOOKED_AT_BOXES - len(first_s))
-        if inside.asked:
-            rows = inside.rows(located)
+        if before.inside.asked:
+            rows = before.inside.rows(located)
             boxes, located = boxes[rows], located[rows]
             if not len(boxes):
                 continue
@@ -569,12 +593,26 @@ class _OpenTracks:
         self._first_s: dict[int, float] = {}
         self._last_s: dict[int, float] = {}
 
-    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
-        """Add boxes with track ids, and return the boxes of each target that has gone."""
+    def turns(
+        self, batches: Iterable[Boxes], *, by_moment: bool = False
+    ) -> Iterator[tuple[bool, list[tuple[int, Boxes]]]]:
+        """Add boxes with track ids, and return the boxes of the targets that have gone.
+
+        Args:
+            batches: In the order of time from one to the next.
+            by_moment: Whether they are in the order of time, each moment whole, all with ids.
+
+        Returns:
+            With each batch, and once more at the end: whether that is it, and who has gone.
+        """
         for batch in batches:
-            yield from self._add(batch)
-        for key in list(self._first_s):
-            yield self._end(key)
+            yield False, self._add_moments(batch) if by_moment else self._add(batch)
+        yield True, [self._end(key) for key in list(self._first_s)]
+
+    def ended(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
+        """The boxes of each target that has gone, of batches as `turns` takes them."""
+        for _, ended in self.turns(batches):
+            yield from ended
 
     def ended_by_moment(self, batches: Iterable[Boxes]) -> Iterator[tuple[int, Boxes]]:
         """As `ended`, where each moment is a batch of its own.
@@ -582,10 +620,8 @@ class _OpenTracks:
         Args:
             batches: In the order of time, each moment whole, all boxes with ids.
         """
-        for batch in batches:
-            yield from self._add_moments(batch)
-        for key in list(self._first_s):
-            yield self._end(key)
+        for _, ended in self.turns(batches, by_moment=True):
+            yield from ended
 
     def _add(self, batch: Boxes) -> list[tuple[int, Boxes]]:
         if not len(batch):

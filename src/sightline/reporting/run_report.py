@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from sightline.atomic import as_placed, atomic_folder
@@ -18,7 +19,10 @@ from sightline.evaluation.comparison import Comparison
 from sightline.evaluation.metrics import ScoredPairs, pair_track
 from sightline.evaluation.report import Report
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.labelling import SheetBox, write_sheet
+from sightline.overlap import iou
 from sightline.pipeline.evaluate import LocatedRecording
+from sightline.pipeline.first_look import FirstLook
 from sightline.pipeline.run import RunResult
 from sightline.reporting.page import (
     ModelRow,
@@ -37,7 +41,7 @@ from sightline.reporting.plots import (
     save_figure,
 )
 from sightline.scene import Scene
-from sightline.types import NO_FRAME
+from sightline.types import NO_FRAME, FloatArray, IntArray
 
 LEFT_OUT = "each recording left out"
 LEARNED_FROM = "recordings learned from"
@@ -51,7 +55,10 @@ _FILES = {
     "model": "model.safetensors",
     "tracks": "tracks",
     "map": "map.png",
+    "found": "found.png",
 }
+# A page has twenty.
+_OF_A_KIND = {"moving": 10, "not told yet": 4, "moored": 6}
 _TRACK_SUFFIXES = (".geojson", ".csv", ".gpx", ".kml")
 
 _WORDS = {
@@ -115,10 +122,11 @@ def run_reports(result: RunResult) -> dict[str, Report]:
 
 
 def write_run(result: RunResult, folder: Path) -> dict[str, Path]:
-    """Write everything that a run made into a folder: tracks, model, report, map.
+    """Write everything that a run made into a folder: tracks, model, report, map, sheet.
 
     Returns:
-        What lies where, by ``"tracks"``, ``"model"``, ``"report"``, ``"figures"`` and ``"map"``.
+        What lies where, by ``"tracks"``, ``"model"``, ``"report"``, ``"figures"``, ``"map"`` and
+        ``"found"``.
 
     Raises:
         InputError: Files cannot be written; see `write_run_files` for what becomes of the others.
@@ -185,8 +193,49 @@ def write_run_files(result: RunResult, folder: Path, goal: Path) -> WrittenRun:
     write(partial(_write_map, result), paths["map"])
     if result.smoothed is not None:
         write(result.smoothed.write, paths["figures"])
+    if result.first_look is not None:
+        write(partial(write_found, result.first_look), paths["found"])
     write(lambda path: write_page(run_page(result), path), paths["report"])
     return WrittenRun({what: path for what, path in paths.items() if path.exists()}, failed)
+
+
+def write_found(look: FirstLook, path: Path) -> None:
+    """Write a contact sheet of what a first look found; nothing where it kept no picture.
+
+    What moves comes first, then what is not told yet, then what is moored: of each kind boxes of
+    different places, from as many pictures as can be.
+
+    Raises:
+        InputError: The page cannot be written.
+    """
+    boxes = look.boxes
+    shown = np.isin(boxes.frame, np.array(list(look.pictures), dtype=np.int64))
+    cells: list[SheetBox] = []
+    for word, rows in (
+        ("moving", look.moving),
+        ("not told yet", look.untold),
+        ("moored", look.moored),
+    ):
+        for i in _apart(boxes.xyxy_px, np.flatnonzero(rows & shown))[: _OF_A_KIND[word]]:
+            frame = int(boxes.frame[i])
+            picture = cv2.imdecode(np.frombuffer(look.pictures[frame], np.uint8), cv2.IMREAD_COLOR)
+            if picture is not None:
+                caption = f"{word} {boxes.confidence[i]:.2f}  {look.recording}/{frame}"
+                image = np.asarray(picture, dtype=np.uint8)
+                cells.append(SheetBox(image, boxes.xyxy_px[i], caption, word == "moving"))
+    if cells:
+        write_sheet(cells, path)
+
+
+def _apart(xyxy_px: FloatArray, rows: IntArray) -> list[int]:
+    """Rows of boxes of which none overlaps one before it; then the others."""
+    first: list[int] = []
+    again: list[int] = []
+    for i in rows.tolist():
+        taken = np.array(first, dtype=np.int64)
+        seen = bool(taken.size) and bool((iou(xyxy_px[i], xyxy_px[taken]) > 0.0).any())
+        (again if seen else first).append(i)
+    return first + again
 
 
 def _write_map(result: RunResult, path: Path) -> None:

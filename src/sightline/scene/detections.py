@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,26 @@ def lower_edges_of(detector: str | Detector) -> dict[str, LowerEdge | None]:
     return dict(made.lower_edges) if isinstance(made, OnnxDetector) else {}
 
 
+class DetectionObserver(Protocol):
+    """Looks along while a detector goes through a recording."""
+
+    def begin(self, recording: Recording) -> bool:
+        """Whether it wants to see this one."""
+        ...
+
+    def observe(self, frame: Frame) -> object:
+        """Observe the next frame."""
+        ...
+
+    def see(self, boxes: Boxes, time_utc_s: float) -> None:
+        """See the boxes of a frame that was observed, and its time."""
+        ...
+
+    def end(self) -> None:
+        """There are no more."""
+        ...
+
+
 class SceneDetections:
     """Detections in the frames of a scene, in one pass a recording.
 
@@ -54,6 +75,7 @@ class SceneDetections:
         progress: Progress | None = None,
         *,
         stills: bool = False,
+        observer: DetectionObserver | None = None,
     ) -> None:
         """Take the detector's name.
 
@@ -63,6 +85,7 @@ class SceneDetections:
             progress: Told how far it is.
             stills: Whether still pictures will be asked for too: then they are made in the
                 detector's pass, and none of their own is needed.
+            observer: Sees boxes as they are found.
 
         Raises:
             InputError: The detector is not known.
@@ -73,6 +96,7 @@ class SceneDetections:
         self._detector = detector
         self._tell = progress or (lambda _what, _share: None)
         self._stills_wanted = stills
+        self._observer = observer
         self._found: dict[str, tuple[Boxes, FloatArray]] = {}
         self._stills: dict[str, NDArray[np.uint8]] = {}
         self.tally = Tally(scene.path)
@@ -137,16 +161,25 @@ class SceneDetections:
         if still_standing and not static_intervals_known(recording):
             static_intervals = StaticIntervalMonitor()
             observers.append(static_intervals)
+        observer = self._observer
+        if observer is not None and observer.begin(recording):
+            observers.append(observer)
+        else:
+            observer = None
         where = f"recording {recording.name}"
         frames = usable(recording.by_camera().frames(), self._scene.image_size_px, where)
-        found = list(
-            detect(
-                observe(frames, observers),
-                self._made(self._detector),
-                frame_count(recording.source),
-                lambda _what, share: self._tell(f"detecting in {recording.name}", share),
-            )
-        )
+        found: list[Boxes] = []
+        for own in detect(
+            observe(frames, observers),
+            self._made(self._detector),
+            frame_count(recording.source),
+            lambda _what, share: self._tell(f"detecting in {recording.name}", share),
+        ):
+            found.append(own)
+            if observer is not None:
+                observer.see(own, times.utc_s[len(found) - 1])
+        if observer is not None:
+            observer.end()
         boxes = recording.unmasked(Boxes.concatenate(found), self.tally)
         self._found[recording.name] = boxes, np.array(times.utc_s)
         if static_intervals is not None:

@@ -135,8 +135,10 @@ def motorboat(rng: np.random.Generator, length_m: float | None = None) -> Shape:
     return Shape("motorboat", length, beam, tuple(faces), wake=1.0)
 
 
-def sailboat(rng: np.random.Generator, length_m: float | None = None) -> Shape:
-    """A yacht of 7 to 14 m under main and jib."""
+def sailboat(
+    rng: np.random.Generator, length_m: float | None = None, *, sails: bool = True
+) -> Shape:
+    """A yacht of 7 to 14 m under main and jib, or with its main furled on the boom."""
     length = length_m if length_m is not None else float(rng.uniform(7.0, 14.0))
     beam, freeboard = 0.30 * length, 0.10 * length
     hull = _pick(rng, [_WHITE, (120, 80, 46), (60, 52, 48), (226, 230, 232)])
@@ -148,6 +150,9 @@ def sailboat(rng: np.random.Generator, length_m: float | None = None) -> Shape:
     faces += _block(0.16, y_mast - 0.08, y_mast + 0.08, freeboard, mast, (150, 150, 152))
     # Sails belly to leeward: a little to one side of the keel line.
     side = 0.10 * length * (1.0 if rng.random() < 0.5 else -1.0)
+    if not sails:
+        faces += _block(0.3, -0.40 * length, y_mast, boom, boom + 0.3, (150, 110, 70))
+        return Shape("sailboat", length, beam, tuple(faces), wake=0.12)
     faces += [
         Face(
             _corners((0, y_mast, boom), (side, -0.40 * length, boom), (0, y_mast, mast)),

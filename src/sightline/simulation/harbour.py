@@ -22,6 +22,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import norm
 
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
@@ -31,6 +32,7 @@ from sightline.simulation.boats import Boat, Shape, dinghy, ferry, motorboat, sa
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.paths import Path, rest, steer
 from sightline.simulation.platform import Knock, SimulatedPlatform
+from sightline.simulation.shore import Shore
 from sightline.types import BoolArray, Boxes, Fixes, FloatArray, Headings, IntArray, StrArray
 
 START_UTC_S = 1_717_236_000.0
@@ -42,6 +44,10 @@ DOCK = LocalPlane(latitude_deg=54.3233, longitude_deg=10.1394)
 _LEAST_SHARE_SEEN = 0.6
 _PAST_S = 30.0
 _COMPASS_LASTS_S = 120.0
+_SPELL_S = 3.0
+# Boats keep so far off a quay, and lie so far from it.
+_OFF_QUAY_M = 45.0
+_BERTH_M = (3.0, 6.0)
 
 Of = Literal["target", "all", "moving"]
 
@@ -56,6 +62,7 @@ class BoxNoise:
         lower_edge_bias_px: Added to y2; positive reaches too low.
         miss_probability: Share of boxes that are left out.
         source: Name of the source.
+        least_px: Boats whose true box is narrower or lower are not found.
     """
 
     std_px: float = 1.0
@@ -63,6 +70,7 @@ class BoxNoise:
     lower_edge_bias_px: float = 0.0
     miss_probability: float = 0.0
     source: str = "annotator"
+    least_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -213,9 +221,11 @@ class HarbourSettings:
         gulls: How many birds.
         piles: Whether a bollard and a mooring post stand before the camera.
         moving: Whether the camera is on a vessel under way in a swell; then without piles.
+        shore: Whether a town with a port lies behind the water, at 240 to 400 m.
+        moored: How many boats lie along its quay.
 
     Raises:
-        InputError: The duration is not positive.
+        InputError: The duration is not positive, or there is a shore before a camera that moves.
     """
 
     duration_s: float = 240.0
@@ -230,8 +240,15 @@ class HarbourSettings:
     gulls: int = 6
     piles: bool = True
     moving: bool = False
+    shore: bool = False
+    moored: int = 30
 
     def __post_init__(self) -> None:
+        if self.shore and self.moving:
+            raise InputError(
+                "a shore with a town lies before a camera that stands still; leave one of the two "
+                "out"
+            )
         if not self.duration_s > 0.0:
             raise InputError(f"a duration of {self.duration_s:g} s is not positive")
 
@@ -252,6 +269,7 @@ class Harbour:
         platform: What the camera stands on, where that moves: then the camera is as it lies while
             the hull is level and its bow at ``platform.heading_deg``.
         knock: When a camera that stands still was turned; then the camera is as it lay before.
+        shore: A town with a port behind the water, where there is one.
     """
 
     camera: SimulatedCamera
@@ -264,6 +282,7 @@ class Harbour:
     seed: int = 0
     platform: SimulatedPlatform | None = None
     knock: Knock | None = None
+    shore: Shore | None = None
 
     @classmethod
     def random(cls, seed: int = 0, settings: HarbourSettings | None = None) -> Harbour:
@@ -278,7 +297,10 @@ class Harbour:
         camera, duration_s = settings.camera, settings.duration_s
         if camera is None:
             camera = SimulatedCamera.random(rng, settings.image_size_px)
-        builder = _Builder(rng, camera, duration_s)
+        shore = None
+        if settings.shore:
+            shore = Shore.random(np.random.default_rng([seed, 11]), camera)
+        builder = _Builder(rng, camera, duration_s, shore)
         builder.target()
         for _ in range(settings.motorboats):
             builder.motorboat()
@@ -288,6 +310,8 @@ class Harbour:
             builder.ferry()
         for _ in range(settings.anchored):
             builder.anchored()
+        if shore is not None:
+            builder.moored(settings.moored)
         return cls(
             camera=camera,
             plane=settings.plane,
@@ -300,6 +324,7 @@ class Harbour:
             platform=SimulatedPlatform.random(np.random.default_rng([seed, 8]), camera, duration_s)
             if settings.moving
             else None,
+            shore=shore,
         )
 
     @property
@@ -406,6 +431,9 @@ class Harbour:
         if of == "moving":
             seen[:, [not boat.path.moves for boat in self.boats]] = False
         if noise is not None:
+            if noise.least_px > 0.0:
+                with np.errstate(invalid="ignore"):
+                    seen &= (outlines[..., 2:] - outlines[..., :2]).min(axis=-1) >= noise.least_px
             rng = np.random.default_rng([self.seed, 2, seed])
             for j in range(len(self.boats)):
                 error = noise.std_px * _correlated(rng, times, noise.correlation_time_s, 4)
@@ -421,6 +449,67 @@ class Harbour:
             track_id=np.array([boat.identity for boat in self.boats], dtype=np.int64)[boats],
             label=np.array([boat.shape.kind for boat in self.boats])[boats],
         )
+
+    def false_boxes(
+        self,
+        time_utc_s: ArrayLike,
+        *,
+        noise: BoxNoise,
+        count: int = 16,
+        frame: ArrayLike | None = None,
+        seed: int = 0,
+    ) -> Boxes:
+        """What a detector takes for boats on the shore: roofs, tops of cranes, cars, trees.
+
+        Each is found in a share of the frames of its own, a tenth to nine tenths, in spells of
+        some seconds.
+
+        Args:
+            time_utc_s: (N,) POSIX seconds.
+            noise: Of the boxes.
+            count: How many things on the shore are taken for boats.
+            frame: (N,) frame numbers; absent: the index of the time.
+            seed: Another seed, other things.
+
+        Returns:
+            In the order of time; without ids, as nothing is there.
+        """
+        times = np.atleast_1d(np.asarray(time_utc_s, dtype=float))
+        frames = np.arange(times.size) if frame is None else np.asarray(frame)
+        if self.shore is None:
+            return Boxes.of([])
+        rng = np.random.default_rng([self.seed, 13, seed])
+        width, height = self.camera.image_size_px
+        parts = []
+        order = rng.permutation(len(self.shore.features)).tolist()
+        for i in order:
+            corners = self.camera.project(self.shore.features[i].part_enu_m())
+            box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
+            inside = (box > 4.0) & (box < np.tile([width - 4.0, height - 4.0], 2))
+            if not (np.isfinite(box).all() and inside.all()) or (box[2:] - box[:2]).min() < max(
+                noise.least_px, 4.0
+            ):
+                continue
+            edges = box + noise.std_px * _correlated(rng, times, noise.correlation_time_s, 4)
+            level = norm.ppf(rng.uniform(0.1, 0.9))
+            found = _correlated(rng, times, _SPELL_S, 1)[:, 0] < level
+            confidence = np.clip(
+                rng.uniform(0.3, 0.8) + 0.1 * _correlated(rng, times, 1.0, 1)[:, 0], 0.05, 0.98
+            )
+            parts.append(
+                Boxes.of(
+                    _inside(edges[found], self.camera.image_size_px),
+                    frame=frames[found],
+                    time_utc_s=times[found],
+                    confidence=confidence[found],
+                    source=noise.source,
+                    label="motorboat",
+                )
+            )
+            if len(parts) == count:
+                break
+        boxes = Boxes.concatenate(parts)
+        return boxes[np.argsort(boxes.time_utc_s, kind="stable")]
 
     def _seen(self, times: FloatArray, outlines: FloatArray) -> BoolArray:
         """(N, boats) bool: enough of the boat is in the image and nothing hides it."""
@@ -546,9 +635,14 @@ class _Builder:
     """Draws boats one after another, each clear of those before it."""
 
     def __init__(
-        self, rng: np.random.Generator, camera: SimulatedCamera, duration_s: float
+        self,
+        rng: np.random.Generator,
+        camera: SimulatedCamera,
+        duration_s: float,
+        shore: Shore | None = None,
     ) -> None:
         self._rng = rng
+        self._shore = shore
         self._camera = camera
         self._duration_s = duration_s
         self._half_view_deg = 0.5 * camera.field_of_view_deg
@@ -592,6 +686,40 @@ class _Builder:
             if self._clear(path, shape.length_m):
                 break
         self._append(shape, path)
+
+    def moored(self, count: int) -> None:
+        """Boats along the quay of the shore, side by side in a few groups, some on buoys."""
+        assert self._shore is not None, "the caller has looked"
+        rng, edge = self._rng, self._shore.range_m
+        groups = rng.uniform(-0.8, 0.8, 4)
+        taken = list[tuple[float, float]]()
+        for _ in range(count):
+            made = int(rng.integers(3))
+            shape = dinghy(rng) if made == 0 else motorboat(rng)
+            if made == 2:
+                shape = sailboat(rng, sails=False)
+            place, course = np.zeros(2), 0.0
+            for _ in range(60):
+                on_buoy = rng.random() < 0.15
+                share = rng.uniform(-0.9, 0.9) if on_buoy else rng.normal(rng.choice(groups), 0.12)
+                bearing = self._camera.heading_deg + float(share) * self._half_view_deg
+                off = float(
+                    rng.uniform(14.0, 0.7 * _OFF_QUAY_M) if on_buoy else rng.uniform(*_BERTH_M)
+                )
+                distance = edge - off - 0.5 * shape.length_m
+                place = np.array(_at(bearing, distance))
+                # Bow or stern to the quay; on a buoy as the wind has it.
+                course = bearing + (0.0 if rng.random() < 0.6 else 180.0)
+                course += float(rng.normal(0.0, 6.0)) + (70.0 if on_buoy else 0.0)
+                apart = [
+                    abs(share_of - share) * np.radians(self._half_view_deg) * edge
+                    for share_of, _ in taken
+                ]
+                room = [0.5 * (shape.beam_m + beam) + 1.2 for _, beam in taken]
+                if abs(share) < 0.95 and all(a > b for a, b in zip(apart, room, strict=True)):
+                    taken.append((float(share), shape.beam_m if not on_buoy else shape.length_m))
+                    self._append(shape, rest(place, course % 360.0, self._duration_s))
+                    break
 
     def piles(self) -> tuple[Pile, ...]:
         """A bollard at the foot of the image and a mooring post further out."""
@@ -652,6 +780,25 @@ class _Builder:
         speed_mps: tuple[float, float],
         turn_rate_dps: float,
     ) -> Path:
+        path = self._wandered(range_m, speed_mps, turn_rate_dps)
+        if self._shore is None:
+            return path
+        # Before a quay who cannot turn is to keep off it, and go slower.
+        times = np.arange(0.0, self._duration_s, 0.5)
+        for share in np.linspace(0.95, 0.2, 40).tolist():
+            if np.hypot(*path.at(times).T).max() < self._shore.range_m - 0.5 * _OFF_QUAY_M:
+                break
+            nearer = (share * range_m[0], share * min(range_m[1], self._shore.range_m))
+            slower = (share * speed_mps[0], share * speed_mps[1])
+            path = self._wandered(nearer, slower, turn_rate_dps)
+        return path
+
+    def _wandered(
+        self,
+        range_m: tuple[float, float],
+        speed_mps: tuple[float, float],
+        turn_rate_dps: float,
+    ) -> Path:
         rng = self._rng
         count = 24
         cruise = rng.uniform(*speed_mps)
@@ -666,6 +813,9 @@ class _Builder:
         )
 
     def _place(self, range_m: tuple[float, float], share_of_view: float) -> FloatArray:
+        if self._shore is not None:
+            most = self._shore.range_m - _OFF_QUAY_M
+            range_m = (min(range_m[0], 0.55 * most), min(range_m[1], most))
         bearing = self._camera.heading_deg + share_of_view * self._half_view_deg * float(
             self._rng.uniform(-1.0, 1.0)
         )

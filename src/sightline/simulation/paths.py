@@ -14,6 +14,7 @@ from sightline.types import FloatArray
 
 _STEP_S = 0.1
 _KNOT_S = 0.5
+_LEAVING_MPS2 = 0.3
 _RUDDER_S = 1.0
 """From no turn to the sharpest: so that the turn rate has no jumps."""
 _HELM_PER_S = 0.6
@@ -71,6 +72,28 @@ def rest(place_m: ArrayLike, course_deg: float, end_s: float) -> Path:
     """
     place = np.asarray(place_m, dtype=float)
     return Path(np.array([0.0, max(end_s, 1.0)]), np.stack([place, place]), course_deg)
+
+
+def cast_off(
+    place_m: ArrayLike, course_deg: float, at_s: float, end_s: float, *, speed_mps: float = 2.5
+) -> Path:
+    """A boat that lies still, and leaves straight ahead.
+
+    Args:
+        place_m: (2,) metres east and north.
+        course_deg: Where the bow points.
+        at_s: When it leaves, seconds.
+        end_s: Time of the last point.
+        speed_mps: That it comes to, at 0.3 m/s².
+    """
+    times = np.arange(0.0, max(end_s, at_s + 1.0) + _KNOT_S, _KNOT_S)
+    since = np.maximum(times - at_s, 0.0)
+    until_s = speed_mps / _LEAVING_MPS2
+    gone = 0.5 * _LEAVING_MPS2 * np.minimum(since, until_s) ** 2
+    gone += speed_mps * np.maximum(since - until_s, 0.0)
+    angle = np.radians(course_deg)
+    place = np.asarray(place_m, dtype=float) + gone[:, None] * [np.sin(angle), np.cos(angle)]
+    return Path(times, place, course_deg)
 
 
 def steer(

@@ -20,6 +20,7 @@ from sightline.simulation.scenery import (
     vignette,
 )
 from sightline.simulation.sea import Sea
+from sightline.simulation.shore import painted
 from sightline.types import BoolArray, FloatArray, IntArray
 
 _HAZE = np.array([196.0, 200.0, 200.0])
@@ -62,7 +63,10 @@ class Renderer:
         rng = np.random.default_rng([harbour.seed, 4])
         self._light = Light.random(rng, self._camera)
         rays = pixel_rays(self._camera)
-        above, cover = backdrop(rng, self._camera, self._light, rays)
+        near = None
+        if harbour.shore is not None:
+            near = painted(harbour.shore, self._camera, harbour.seed)
+        above, cover = backdrop(rng, self._camera, self._light, rays, near)
         self._shading = vignette(self._camera, rays)
         self._still: Image = np.clip(above * self._shading, 0.0, 255.0).astype(np.uint8)
         self._sea = Sea(rng, self._camera, self._light, rays, above, cover, self._shading)

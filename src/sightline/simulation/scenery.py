@@ -5,6 +5,7 @@ All is painted in bearing and elevation, and then looked up through the lens.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -93,7 +94,11 @@ def sample_tile(tile: Image32, u: FloatArray, v: FloatArray) -> Image32:
 
 
 def backdrop(
-    rng: np.random.Generator, camera: SimulatedCamera, light: Light, rays: FloatArray
+    rng: np.random.Generator,
+    camera: SimulatedCamera,
+    light: Light,
+    rays: FloatArray,
+    near: Panorama | None = None,
 ) -> tuple[Image32, Image32]:
     """Sky and far shore.
 
@@ -102,32 +107,44 @@ def backdrop(
         camera: Through which it is seen.
         light: The sun.
         rays: (H, W, 3) from `pixel_rays`.
+        near: A shore that is nearer than the far one.
 
     Returns:
         (H, W, 3) float32, blue, green, red, and (H, W, 1) float32, how far it hides the water:
         1 above the horizon, and below it the opacity of the shore.
     """
     picture = _sky(rng, light, rays)
-    shore = _shore(rng, camera)
+    cover = np.zeros((*rays.shape[:2], 1), np.float32)
+    for painting in (_shore(rng, camera), *([] if near is None else [near])):
+        seen = _looked_up(painting, camera, rays)
+        opacity = seen[..., 3:]
+        picture = np.asarray(picture * (1.0 - opacity) + seen[..., :3], dtype=np.float32)
+        cover = np.asarray(opacity + cover * (1.0 - opacity), dtype=np.float32)
+    return picture, np.where(rays[..., 2:] >= 0.0, np.float32(1.0), cover)
+
+
+def _looked_up(painting: Panorama, camera: SimulatedCamera, rays: FloatArray) -> Image32:
+    """(H, W, 4) a panorama as the camera sees it."""
+    shore = painting.layer
     bearing = np.degrees(np.arctan2(rays[..., 0], rays[..., 1])) - camera.heading_deg
     bearing = (bearing + 180.0) % 360.0 - 180.0
     elevation = np.degrees(np.arcsin(np.clip(rays[..., 2], -1.0, 1.0)))
     columns = bearing * _PIXELS_PER_DEG + 0.5 * shore.shape[1] - 0.5
-    rows = (_HIGHEST_DEG - elevation) * _PIXELS_PER_DEG - 0.5
+    rows = (painting.highest_deg - elevation) * _PIXELS_PER_DEG - 0.5
     # A pixel spans several of the panorama's; without the blur thin things would flicker away.
     across = _PIXELS_PER_DEG * np.degrees(1.0 / camera.focal_length_px)
     blurred = cv2.GaussianBlur(shore, (0, 0), max(0.45 * across, 0.3))
-    seen = cv2.remap(
-        blurred,
-        columns.astype(np.float32),
-        rows.astype(np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=(0, 0, 0, 0),
+    return np.asarray(
+        cv2.remap(
+            blurred,
+            columns.astype(np.float32),
+            rows.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(0, 0, 0, 0),
+        ),
+        dtype=np.float32,
     )
-    opacity = seen[..., 3:]
-    painted = np.asarray(picture * (1.0 - opacity) + seen[..., :3], dtype=np.float32)
-    return painted, np.where(rays[..., 2:] >= 0.0, np.float32(1.0), opacity)
 
 
 def vignette(camera: SimulatedCamera, rays: FloatArray) -> Image32:
@@ -153,7 +170,9 @@ def _sky(rng: np.random.Generator, light: Light, rays: FloatArray) -> Image32:
     return np.asarray(sky + cover[..., None] * (lit - sky), dtype=np.float32)
 
 
-def _profile(rng: np.random.Generator, count: int, scale_px: float, octaves: int) -> FloatArray:
+def random_profile(
+    rng: np.random.Generator, count: int, scale_px: float, octaves: int
+) -> FloatArray:
     """(count,) a smooth random line of about zero mean and unit spread."""
     line = np.zeros(count)
     for octave in range(octaves):
@@ -167,17 +186,49 @@ def _profile(rng: np.random.Generator, count: int, scale_px: float, octaves: int
     return line
 
 
-class _Panorama:
-    """Premultiplied colour and opacity in bearing and elevation, painted from far to near."""
+class Panorama:
+    """Premultiplied colour and opacity in bearing and elevation, painted from far to near.
 
-    def __init__(self, width: int) -> None:
-        height = round((_HIGHEST_DEG - _LOWEST_DEG) * _PIXELS_PER_DEG)
+    Attributes:
+        layer: (H, W, 4) float32, blue, green, red and opacity.
+        highest_deg: Elevation of its upper edge.
+    """
+
+    def __init__(
+        self, width: int, lowest_deg: float = _LOWEST_DEG, highest_deg: float = _HIGHEST_DEG
+    ) -> None:
+        """Begin with nothing.
+
+        Args:
+            width: Of the panorama.
+            lowest_deg: Elevation of its lower edge.
+            highest_deg: Elevation of its upper edge.
+        """
+        height = round((highest_deg - lowest_deg) * _PIXELS_PER_DEG)
         self.layer: Image32 = np.zeros((height, width, 4), np.float32)
+        self.highest_deg = highest_deg
+
+    @classmethod
+    def around(
+        cls,
+        camera: SimulatedCamera,
+        lowest_deg: float = _LOWEST_DEG,
+        highest_deg: float = _HIGHEST_DEG,
+    ) -> Panorama:
+        """A panorama that is somewhat wider than what a camera sees."""
+        width = round((camera.field_of_view_deg + 40.0) * _PIXELS_PER_DEG)
+        return cls(width, lowest_deg, highest_deg)
 
     def row(self, elevation_deg: float | FloatArray) -> NDArray[np.int64]:
+        """Rows of elevations."""
         return np.asarray(
-            np.round((_HIGHEST_DEG - np.asarray(elevation_deg)) * _PIXELS_PER_DEG), dtype=np.int64
+            np.round((self.highest_deg - np.asarray(elevation_deg)) * _PIXELS_PER_DEG),
+            dtype=np.int64,
         )
+
+    def column(self, off_deg: float) -> int:
+        """The column of a bearing, degrees to the right of the heading."""
+        return int(np.round(off_deg * _PIXELS_PER_DEG + 0.5 * self.layer.shape[1]))
 
     def fill(
         self, top_deg: FloatArray, bottom_deg: FloatArray, colour: FloatArray, grain: Image32
@@ -195,6 +246,7 @@ class _Panorama:
         part[inside, 3] = 1.0
 
     def rectangle(self, left: int, right: int, top: int, bottom: int, colour: FloatArray) -> None:
+        """An opaque rectangle."""
         block = self.layer[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)]
         block[..., :3] = colour
         block[..., 3] = 1.0
@@ -202,48 +254,56 @@ class _Panorama:
     def line(
         self, start: tuple[int, int], end: tuple[int, int], colour: FloatArray, px: int
     ) -> None:
+        """A straight line."""
         cv2.line(self.layer, start, end, (*colour.tolist(), 1.0), px, cv2.LINE_AA)
 
+    def polygon(self, corners: Sequence[tuple[int, int]], colour: FloatArray) -> None:
+        """An opaque polygon."""
+        points = np.array(corners, dtype=np.int32)
+        cv2.fillPoly(self.layer, [points], (*colour.tolist(), 1.0), cv2.LINE_AA)
+
     def disc(self, centre: tuple[int, int], axes: tuple[int, int], colour: FloatArray) -> None:
+        """A filled ellipse."""
         cv2.ellipse(self.layer, centre, axes, 0, 0, 360, (*colour.tolist(), 1.0), -1)
 
 
-def _hazy(colour: tuple[float, float, float], haze: float) -> FloatArray:
+def hazy(colour: tuple[float, float, float], haze: float) -> FloatArray:
+    """A colour as haze leaves it."""
     return np.array(colour) * (1.0 - haze) + _HAZE * haze
 
 
-def _shore(rng: np.random.Generator, camera: SimulatedCamera) -> Image32:
+def _shore(rng: np.random.Generator, camera: SimulatedCamera) -> Panorama:
     """Hills, a town, a port with cranes and sheds, trees and a breakwater with a light."""
-    width = round((camera.field_of_view_deg + 40.0) * _PIXELS_PER_DEG)
-    painting = _Panorama(width)
+    painting = Panorama.around(camera)
+    width = painting.layer.shape[1]
     grain = noise_tile(rng, 256, 0.8)
     degrees = np.full(width, 1.0)
     # The shore is two to five kilometres off: its foot lies that little below the horizon.
-    distance = 3200.0 * np.exp(0.25 * np.clip(_profile(rng, width, 1600.0, 2), -1.5, 1.5))
+    distance = 3200.0 * np.exp(0.25 * np.clip(random_profile(rng, width, 1600.0, 2), -1.5, 1.5))
     foot = -np.degrees(camera.height_m / distance)
 
-    far = np.clip(0.85 + 0.55 * _profile(rng, width, 1500.0, 5), 0.12, 2.6)
-    painting.fill(far, foot, _hazy((150.0, 132.0, 118.0), 0.55), 0.12 * grain)
-    middle = np.clip(0.42 + 0.30 * _profile(rng, width, 900.0, 5), 0.05, 1.4)
-    painting.fill(middle, foot, _hazy((98.0, 112.0, 96.0), 0.40), 0.4 * grain)
+    far = np.clip(0.85 + 0.55 * random_profile(rng, width, 1500.0, 5), 0.12, 2.6)
+    painting.fill(far, foot, hazy((150.0, 132.0, 118.0), 0.55), 0.12 * grain)
+    middle = np.clip(0.42 + 0.30 * random_profile(rng, width, 900.0, 5), 0.05, 1.4)
+    painting.fill(middle, foot, hazy((98.0, 112.0, 96.0), 0.40), 0.4 * grain)
 
     _houses(rng, painting, foot, middle)
-    near = np.clip(0.06 + 0.05 * _profile(rng, width, 260.0, 5), 0.0, 0.3)
-    painting.fill(near * degrees, foot, _hazy((70.0, 92.0, 74.0), 0.28), grain)
+    near = np.clip(0.06 + 0.05 * random_profile(rng, width, 260.0, 5), 0.0, 0.3)
+    painting.fill(near * degrees, foot, hazy((70.0, 92.0, 74.0), 0.28), grain)
     _port(rng, painting, foot)
     _trees(rng, painting, foot)
-    quay = _hazy((120.0, 132.0, 140.0), 0.25)
+    quay = hazy((120.0, 132.0, 140.0), 0.25)
     painting.fill(foot + 0.035, foot, quay, 0.5 * grain)
     _breakwater(rng, painting, camera, grain)
-    return painting.layer
+    return painting
 
 
 def _houses(
-    rng: np.random.Generator, painting: _Panorama, foot: FloatArray, hills: FloatArray
+    rng: np.random.Generator, painting: Panorama, foot: FloatArray, hills: FloatArray
 ) -> None:
     width = foot.size
     walls = [(216, 222, 226), (190, 204, 216), (168, 180, 198), (140, 154, 182), (196, 196, 196)]
-    density = np.clip(0.7 + 0.7 * _profile(rng, width, 1200.0, 2), 0.08, 1.5)
+    density = np.clip(0.7 + 0.7 * random_profile(rng, width, 1200.0, 2), 0.08, 1.5)
     for left in range(0, width - 60, 7):
         if rng.random() > 0.8 * density[left]:
             continue
@@ -252,7 +312,7 @@ def _houses(
         tall = rng.random() < 0.05 * density[left]
         high = float(rng.uniform(0.35, 0.85)) if tall else float(rng.uniform(0.09, 0.26))
         wide = int(rng.integers(9, 20)) if tall else int(rng.integers(8, 30))
-        colour = _hazy(walls[int(rng.integers(len(walls)))], 0.38) * float(rng.uniform(0.8, 1.05))
+        colour = hazy(walls[int(rng.integers(len(walls)))], 0.38) * float(rng.uniform(0.8, 1.05))
         top, bottom = int(painting.row(base + high)), int(painting.row(base))
         painting.rectangle(left, left + wide, top, bottom, colour)
         painting.rectangle(left + 2 * wide // 3, left + wide, top, bottom, 0.86 * colour)
@@ -260,11 +320,11 @@ def _houses(
             for row in range(top + 3, bottom - 2, 4):
                 painting.rectangle(left + 1, left + wide - 1, row, row + 1, 0.8 * colour)
         else:
-            roof = _hazy((96, 104, 150), 0.42) if rng.random() < 0.6 else 0.8 * colour
+            roof = hazy((96, 104, 150), 0.42) if rng.random() < 0.6 else 0.8 * colour
             painting.rectangle(left, left + wide, top - 2, top, roof)
 
 
-def _port(rng: np.random.Generator, painting: _Panorama, foot: FloatArray) -> None:
+def _port(rng: np.random.Generator, painting: Panorama, foot: FloatArray) -> None:
     width = foot.size
     centre = int(width * rng.uniform(0.35, 0.65))
     sheds = [(200, 206, 210), (150, 160, 190), (190, 160, 130), (120, 150, 196), (214, 218, 216)]
@@ -273,7 +333,7 @@ def _port(rng: np.random.Generator, painting: _Panorama, foot: FloatArray) -> No
         if not 0 <= left < width - 120:
             continue
         wide, high = int(rng.integers(28, 110)), float(rng.uniform(0.14, 0.34))
-        colour = _hazy(sheds[int(rng.integers(len(sheds)))], 0.26)
+        colour = hazy(sheds[int(rng.integers(len(sheds)))], 0.26)
         top, bottom = int(painting.row(foot[left] + high)), int(painting.row(foot[left]))
         painting.rectangle(left, left + wide, top, bottom, colour)
         painting.rectangle(left, left + wide, top, top + 2, 0.75 * colour)
@@ -286,12 +346,12 @@ def _port(rng: np.random.Generator, painting: _Panorama, foot: FloatArray) -> No
         column = int(np.clip(centre + rng.normal(0.0, 0.16 * width), 0, width - 1))
         top = int(painting.row(foot[column] + float(rng.uniform(0.1, 0.3))))
         bottom = int(painting.row(foot[column]))
-        painting.line((column, top), (column, bottom), _hazy((214, 216, 216), 0.2), 1)
+        painting.line((column, top), (column, bottom), hazy((214, 216, 216), 0.2), 1)
 
 
-def _crane(painting: _Panorama, left: int, foot_deg: float, high_deg: float) -> None:
+def _crane(painting: Panorama, left: int, foot_deg: float, high_deg: float) -> None:
     """A gantry crane: two legs, a beam over the water, and stays to its head."""
-    colour = _hazy((150, 110, 70), 0.35)
+    colour = hazy((150, 110, 70), 0.35)
     ground = int(painting.row(foot_deg))
     beam = int(painting.row(foot_deg + 0.62 * high_deg))
     head = int(painting.row(foot_deg + high_deg))
@@ -304,21 +364,21 @@ def _crane(painting: _Panorama, left: int, foot_deg: float, high_deg: float) -> 
     painting.line((left, head), (left + 3 * span // 2, beam), colour, 1)
 
 
-def _trees(rng: np.random.Generator, painting: _Panorama, foot: FloatArray) -> None:
+def _trees(rng: np.random.Generator, painting: Panorama, foot: FloatArray) -> None:
     width = foot.size
-    density = np.clip(_profile(rng, width, 700.0, 2), 0.0, 1.5)
+    density = np.clip(random_profile(rng, width, 700.0, 2), 0.0, 1.5)
     for column in range(0, width, 4):
         if rng.random() > 0.5 * density[column]:
             continue
         size = float(rng.uniform(0.04, 0.12))
-        colour = _hazy((58, 84, 62), 0.22) * float(rng.uniform(0.8, 1.1))
+        colour = hazy((58, 84, 62), 0.22) * float(rng.uniform(0.8, 1.1))
         centre = (column, int(painting.row(foot[column] + 0.8 * size)))
         radius = max(int(size * _PIXELS_PER_DEG), 1)
         painting.disc(centre, (radius + 1, radius), colour)
 
 
 def _breakwater(
-    rng: np.random.Generator, painting: _Panorama, camera: SimulatedCamera, grain: Image32
+    rng: np.random.Generator, painting: Panorama, camera: SimulatedCamera, grain: Image32
 ) -> None:
     """A mole of stones that comes in from one side, with a light at its head."""
     width = painting.layer.shape[1]
@@ -327,17 +387,17 @@ def _breakwater(
     distance = 1300.0
     foot = np.full(width, -np.degrees(camera.height_m / distance))
     top = foot.copy()
-    stones = 0.03 * np.abs(_profile(rng, reach, 12.0, 2))
+    stones = 0.03 * np.abs(random_profile(rng, reach, 12.0, 2))
     top[columns] += np.degrees(3.2 / distance) + stones
     if rng.random() < 0.5:
         top, flipped = top[::-1].copy(), True
     else:
         flipped = False
-    painting.fill(top, foot, _hazy((96.0, 104.0, 108.0), 0.15), grain)
+    painting.fill(top, foot, hazy((96.0, 104.0, 108.0), 0.15), grain)
     column = width - reach + 6 if flipped else reach - 6
     base = int(painting.row(float(foot[0]) + np.degrees(3.0 / distance)))
     head = int(painting.row(float(foot[0]) + np.degrees(13.0 / distance)))
-    colour = _hazy((60, 60, 190) if flipped else (90, 140, 60), 0.12)
-    painting.rectangle(column - 4, column + 4, head, base, _hazy((226, 230, 232), 0.1))
+    colour = hazy((60, 60, 190) if flipped else (90, 140, 60), 0.12)
+    painting.rectangle(column - 4, column + 4, head, base, hazy((226, 230, 232), 0.1))
     painting.rectangle(column - 4, column + 4, head, head + (base - head) // 3, colour)
     painting.rectangle(column - 2, column + 2, head - 6, head, 0.6 * colour)

@@ -56,6 +56,9 @@ AIS_TRANSPONDER = ReceiverNoise(
 )
 """A class B transponder nearby: a whole second every few seconds."""
 
+LEAST_FOUND_PX = 6.0
+"""Boxes before a shore that are narrower or lower no detector finds."""
+
 CLOCK_STEP_S = 5.0
 """How often a ``"stepped"`` clock is read."""
 
@@ -63,6 +66,7 @@ _LONGEST_S = 86_400.0
 _FIRST_MMSI = 211_000_001
 _RATE_JITTER = 0.15
 _LOST_FRAMES = 0.004
+_STILL_MPS = 0.05
 _MICROSECONDS = 1e6
 _HORIZON_STD_PX = 0.5
 
@@ -123,6 +127,9 @@ class SimulationSettings:
         video: Whether to render at all; without, the clock is a table.
         moving: Whether the camera is on a vessel under way in a swell, rather than on a dock.
         knock: When a camera on a dock was turned, and how.
+        shore: Whether a town with a port lies behind the water. What of it a detector takes for
+            boats is among the detections.
+        moored: How many boats lie along its quay.
 
     Raises:
         InputError: A setting is out of its range.
@@ -147,6 +154,8 @@ class SimulationSettings:
     video: bool = True
     moving: bool = False
     knock: Knock | None = None
+    shore: bool = False
+    moored: int = 30
 
     def __post_init__(self) -> None:
         kinds: tuple[ClockKind, ...] = ("start", "exact", "stepped")
@@ -191,7 +200,8 @@ def simulate(
     ``ais.nmea``            what the target and the ferries broadcast
     ``truth.csv``           where every boat was at every frame
     ``truth.json``          the camera, and how everything was drawn
-    ``truth-boxes/01.csv``  the exact boxes of all boats, ``track_id`` the boat
+    ``truth-boxes/01.csv``  the exact boxes of all boats, ``track_id`` the boat; with a shore also
+                            ``state``, ``moored`` or ``moving``
     ``platform.csv``        what the camera's platform logged of itself, if it moves
     ``horizon/01.csv``      the horizon in each frame, if the platform moves and there is no video
     ======================  =======================================================================
@@ -220,6 +230,8 @@ def simulate(
             plane=settings.plane,
             start_utc_s=settings.start_utc_s - lead_s,
             moving=settings.moving,
+            shore=settings.shore,
+            moored=settings.moored,
         ),
     )
     if settings.knock is not None:
@@ -310,12 +322,33 @@ def _write_tables(
         times[looked_at], noise=settings.annotator, frame=looked_at, seed=2 * seed
     )
     _write_boxes(folder / "boxes" / f"{name}.csv", drawn, annotator=True)
-    seen = harbour.boxes(times, noise=settings.detector, of="all", seed=2 * seed + 1)
+    detector = settings.detector
+    if settings.shore:
+        # Before a shore there is much that is too small for any detector.
+        detector = replace(detector, least_px=max(detector.least_px, LEAST_FOUND_PX))
+    seen = harbour.boxes(times, noise=detector, of="all", seed=2 * seed + 1)
     rng = np.random.default_rng([harbour.seed, 7, seed])
     seen = seen.with_columns(confidence=rng.beta(8.0, 2.0, len(seen)))
+    false = harbour.false_boxes(times, noise=detector, seed=seed)
+    if len(false):
+        seen = Boxes.concatenate([seen, false])
+        seen = seen[np.argsort(seen.time_utc_s, kind="stable")]
     _write_boxes(folder / "detections" / f"{name}.csv", seen, label=True)
     exact = harbour.boxes(times, of="all")
-    _write_boxes(folder / "truth-boxes" / f"{name}.csv", exact, label=True, track=True)
+    states = _states(harbour, exact) if settings.shore else None
+    _write_boxes(
+        folder / "truth-boxes" / f"{name}.csv", exact, label=True, track=True, states=states
+    )
+
+
+def _states(harbour: Harbour, boxes: Boxes) -> list[str]:
+    """Whether each boat lies still or is under way, box by box."""
+    out = np.full(len(boxes), "moving")
+    for boat in harbour.boats:
+        rows = np.flatnonzero(boxes.track_id == boat.identity)
+        speed = np.hypot(*boat.path.velocity(boxes.time_utc_s[rows] - harbour.start_utc_s).T)
+        out[rows[speed < _STILL_MPS]] = "moored"
+    return [str(state) for state in out]
 
 
 def _stepped(rng: np.random.Generator, times: FloatArray) -> list[str]:
@@ -336,6 +369,7 @@ def _write_boxes(
     annotator: bool = False,
     label: bool = False,
     track: bool = False,
+    states: list[str] | None = None,
 ) -> None:
     header = ["frame", "x1", "y1", "x2", "y2"]
     columns: list[list[object]] = [
@@ -354,6 +388,9 @@ def _write_boxes(
     if label:
         header.append("label")
         columns.append(boxes.label.tolist())
+    if states is not None:
+        header.append("state")
+        columns.append(list(states))
     _write_rows(path, header, zip(*columns, strict=True))
 
 
@@ -466,6 +503,7 @@ def _write_truth(
             "kind": boat.shape.kind,
             "length_m": round(boat.shape.length_m, 2),
             "beam_m": round(boat.shape.beam_m, 2),
+            "moored": not boat.path.moves,
         }
         for boat in harbour.boats
     ]
