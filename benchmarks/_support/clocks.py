@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -78,6 +78,30 @@ def drawn_scene(
 def _write(folder: Path, name: str, boxes: Boxes, late_s: float) -> None:
     boxes = boxes.with_columns(time_utc_s=boxes.time_utc_s + late_s)
     formats.write_boxes(boxes, folder / f"boxes-{name}.csv")
+
+
+def unlabelled_recordings(folder: Path, offset_s: float, *, seeds: Sequence[int]) -> Scene:
+    """Recordings by one camera as `unlabelled_scene` makes them, of other boats each.
+
+    Args:
+        folder: Where to.
+        offset_s: How far the camera's clock is ahead of the log's.
+        seeds: Of each recording.
+    """
+    lines: list[str] = []
+    for number, seed in enumerate(seeds, start=1):
+        name = f"{number:02}"
+        (folder / name).mkdir()
+        alone = unlabelled_scene(folder / name, offset_s, seed=seed)
+        site, _, recording = alone.path.read_text(encoding="utf-8").partition("[[recordings]]")
+        recording = recording.replace('"01"', f'"{name}"')
+        for file in ("seen.csv", "fixes.csv"):
+            recording = recording.replace(file, f"{name}/{file}")
+        lines = lines or [site]
+        lines.append("[[recordings]]" + recording)
+    path = folder / "scene.toml"
+    path.write_text("".join(lines), encoding="utf-8")
+    return Scene.load(path)
 
 
 def unlabelled_scene(folder: Path, offset_s: float, *, seed: int = 0) -> Scene:

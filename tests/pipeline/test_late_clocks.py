@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from _support.clocks import CAMERA, drawn_scene, unlabelled_scene
+from _support.clocks import CAMERA, drawn_scene, unlabelled_recordings, unlabelled_scene
 
 import sightline
 from sightline import formats
@@ -72,6 +72,18 @@ def test_a_model_file_keeps_the_clocks(tmp_path: Path, model: Georeferencer) -> 
 
 def test_a_right_clock_is_left_as_it_is(right: Scene) -> None:
     assert [one.clock_offset_s for one in settled(right).recordings] == [0.0, 0.0]
+
+
+def test_a_clock_is_looked_for_once_though_another_recording_has_too_few_boxes(
+    right: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = tmp_path / "few.csv"
+    formats.write_boxes(right["02"].boxes()[:3], few)
+    scene = replace(right, recordings=(right["01"], replace(right["02"], boxes_path=few)))
+    once = settled(scene)
+    assert [one.clock_found is None for one in once.recordings] == [False, True]
+    monkeypatch.delattr("sightline.scene.clocks.search_clocks")
+    assert settled(once) is once
 
 
 def test_boxes_are_scored_in_the_logs_time(
@@ -213,6 +225,45 @@ def test_a_run_writes_and_scores_tracks_in_the_logs_time(tmp_path: Path, right: 
         assert used_s == pytest.approx(40.0, abs=1.0)
         assert any(f"clock of recording {name} is" in note for note in result.notes)
     assert set(result.clocks) == {"01", "02"}
+
+
+@pytest.mark.slow
+def test_a_recording_that_is_left_out_tells_nothing_of_the_other_clocks(tmp_path: Path) -> None:
+    names = ("01", "02", "03")
+    scene = drawn_scene(tmp_path, dict.fromkeys(names, 40.0), duration_s=60.0)
+    result = sightline.run(scene)
+    assert result.left_out == names
+    for placed in result.placed:
+        never_saw = fit(scene.without([placed.recording]))
+        # One search tells the clocks of all that are asked together.
+        for other, told in never_saw.report.clocks.items():
+            assert other != placed.recording
+            assert told.offset_s != result.clocks[other].offset_s
+        assert placed.model.report.clocks == never_saw.report.clocks
+        assert placed.model.report.parameters == never_saw.report.parameters
+
+
+@pytest.mark.slow
+def test_a_recording_left_out_without_drawn_boxes_is_scored_at_a_clock_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the model of all recordings says of its clock may be wrong: it saw the recording."""
+    scene = unlabelled_recordings(tmp_path, 40.0, seeds=(1, 2, 4))
+    expected = sightline.run(scene)
+    assert expected.left_out == ("01", "02", "03")
+    for name in expected.left_out:
+        assert any(
+            f"clock of recording {name} is" in note and "by its own boxes and log" in note
+            for note in expected.notes
+        )
+    monkeypatch.setattr(
+        "sightline.pipeline.run._in_log_time",
+        lambda by_camera, _: (by_camera.with_clocks({name: 37.0 for name in ("01", "02")}), ()),
+    )
+    told_wrongly = sightline.run(scene).smoothed
+    assert told_wrongly is not None
+    assert expected.smoothed is not None
+    assert told_wrongly.ape.rmse == pytest.approx(expected.smoothed.ape.rmse, rel=1e-3)
 
 
 @pytest.mark.slow

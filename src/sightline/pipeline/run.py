@@ -11,6 +11,7 @@ from sightline.camera.state import ObservedBoxes
 from sightline.clock_offset import ClockOffset
 from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import FitError
+from sightline.evaluation.clock_match import match_clock
 from sightline.evaluation.metrics import ScoredPairs
 from sightline.evaluation.report import Report, TracksUsed, pair_target, summarise
 from sightline.georeferencing.fit import FitInputs, FitSettings
@@ -44,7 +45,7 @@ from sightline.scene.detections import SceneDetections
 from sightline.tally import Tally
 from sightline.tracks import Tracks
 from sightline.trajectory import method
-from sightline.types import NO_TRACK, Boxes, Track
+from sightline.types import NO_TRACK, Boxes, Positions, Track
 
 _ALIKE_S = 2.0
 
@@ -138,7 +139,8 @@ def run(
     _look_at_tables(scene, looker)
     tell("fitting", float("nan"))
     by_camera, scene = scene, settled(scene) if _drawn(scene) else scene
-    extra = _taught(scene, seen) if any(map(_unseen, scene.recordings)) else {}
+    taught = any(map(_unseen, scene.recordings))
+    extra = _taught(scene, seen) if taught else {}
     kind = model_type(model)
     inputs: FitInputs | None = None
     if _drawn(scene):
@@ -147,7 +149,7 @@ def run(
     else:
         fitted = fit_scene(scene, kind, seed=seed, extra=extra, seen=seen, progress=tell)
     fitted = _with_places(scene, fitted, seen, settings)
-    models, failed = _leave_each_out(scene, inputs, kind, seed, extra, seen, tell)
+    models, failed = _leave_each_out(by_camera, inputs, kind, seed, taught, seen, tell)
     placed: list[LocatedRecording] = []
     if _drawn(scene):
         # A model that never saw a recording knows nothing of its clock.
@@ -166,7 +168,7 @@ def run(
     smoothed = _report_tracks(tracked.scored, left_out)
     single_boxes = _report_boxes(single, left_out)
     smoothed_rest, single_rest = _report_tracks(tracked.scored, rest), _report_boxes(single, rest)
-    own = {one.recording: one.clock for one in placed if one.recording in models}
+    own = {one.recording: one.clock for one in placed if one.recording in models} | tracked.clocks
     left = _left_out(settings.tally, seen.tally)
     notes = (*clock_notes(own), *said, *tracked.notes, *_left_out_notes(left))
     notes += () if looker.look is None else looker.look.sentences()[1:]
@@ -280,12 +282,15 @@ class _Tracked:
         scored: By the model that never saw the recording, where there is one.
         detected: See `RunResult`.
         notes: See `RunResult`.
+        clocks: By recording, how far the camera's clock is ahead, by the tracks that the model made
+            which never saw it; of recordings without drawn boxes.
     """
 
     tracks: Mapping[str, Tracks]
     scored: Mapping[str, tuple[ScoredPairs, TracksUsed]]
     detected: tuple[str, ...]
     notes: tuple[str, ...]
+    clocks: Mapping[str, ClockOffset | None]
 
 
 def _track_each(
@@ -301,6 +306,7 @@ def _track_each(
     scored: dict[str, tuple[ScoredPairs, TracksUsed]] = {}
     detected: list[str] = []
     notes: list[str] = []
+    clocks: dict[str, ClockOffset | None] = {}
     for recording in scene.recordings:
         tell(f"tracking {recording.name}", float("nan"))
         held = models.get(recording.name, fitted)
@@ -310,7 +316,14 @@ def _track_each(
             if held is not fitted:
                 # What is left out is counted once.
                 again = replace(settings, tally=None)
-                judged = track_recording(judged_scene[recording.name], held, seen, again)
+                own = judged_scene[recording.name]
+                judged = track_recording(own, held, seen, again)
+                if own.boxes_path is None:
+                    # The clock that is known so far was told by a model that saw the recording.
+                    clock = clocks[own.name] = _clock_by_tracks(own, judged, held)
+                    used_s = own.clock_prior.mean_s if clock is None else clock.used_s
+                    if used_s != own.clock_offset_s:
+                        judged = track_recording(own.with_clock(used_s), held, seen, again)
         except FrameRateError as error:
             made = judged = []
             notes.append(f"Nothing is tracked in recording {recording.name}: {error}.")
@@ -324,7 +337,38 @@ def _track_each(
         pairs = _against_log(recording, judged, held.reference_sigma_m)
         if pairs is not None:
             scored[recording.name] = pairs
-    return _Tracked(tracks, scored, tuple(detected), tuple(notes))
+    return _Tracked(tracks, scored, tuple(detected), tuple(notes), clocks)
+
+
+def _clock_by_tracks(
+    recording: Recording, tracks: Sequence[Track], model: Georeferencer
+) -> ClockOffset | None:
+    """The clock of a recording, by the tracks of its logged target; None where nothing tells it."""
+    if recording.fixes_path is None:
+        return None
+    fixes, sigma_m = recording.fixes(), model.reference_sigma_m
+    used = pair_target(tracks, fixes, reference_sigma_m=sigma_m)[1].used
+    chosen = [track for track in tracks if track.track_id in used]
+    if not chosen:
+        return None
+    covariance_m2 = np.concatenate([track.covariance_m2 for track in chosen])
+    times_s = np.concatenate([track.time_utc_s for track in chosen])
+    positions = Positions(
+        east_m=np.concatenate([track.east_m for track in chosen]),
+        north_m=np.concatenate([track.north_m for track in chosen]),
+        covariance_m2=covariance_m2,
+        extrapolated=np.zeros(times_s.size, dtype=bool),
+        plane=chosen[0].plane,
+        # Points of a smooth track are off together.
+        shared_covariance_m2=covariance_m2,
+    )
+    return match_clock(
+        times_s + recording.clock_offset_s,
+        positions,
+        fixes,
+        prior=recording.clock_prior,
+        reference_sigma_m=sigma_m,
+    )
 
 
 def _report_tracks(
@@ -380,18 +424,18 @@ def _leave_each_out(
     inputs: FitInputs | None,
     kind: ModelType,
     seed: int,
-    extra: Mapping[str, Boxes],
+    taught: bool,
     seen: SceneDetections,
     tell: Progress,
 ) -> tuple[dict[str, Georeferencer], FitError | None]:
     """Leave-one-out model of each recording that teaches, and why the first has none.
 
     Args:
-        scene: The scene.
+        scene: By the camera's clock.
         inputs: Collected from all of it, where boxes are drawn.
         kind: Of the models.
         seed: Of whatever is random in the fits.
-        extra: Further boxes of the logged target, by recording.
+        taught: Whether detections of the logged target teach beside its drawn boxes.
         seen: What a detector found.
         tell: Told how far it is.
     """
@@ -407,8 +451,9 @@ def _leave_each_out(
         tell(f"fitting without {name}", i / len(names))
         try:
             if inputs is not None:
-                # Clocks stay as all recordings have told them together, if each was told.
-                rest = scene.without([name])
+                # Anew: the clocks of the others are told without it.
+                rest = settled(scene.without([name]))
+                extra = _taught(rest, seen) if taught else {}
                 others = collect(rest, extra=extra, pictures=_asks_pictures(kind))
                 models[name] = fit_inputs(others, FitSettings(model=kind, seed=seed))
             else:

@@ -52,7 +52,8 @@ def settle_clocks(scene: Scene, plane: LocalPlane, prior: CameraPrior | None = N
         return scene
     read = [_Drawn.of(recording, scene) for recording in asked]
     read = [one for one in read if len(one.boxes) >= _FEWEST]
-    if not read:
+    # The others were not asked, and never will be.
+    if all(one.recording.clock_found is not None for one in read):
         return scene
     sources = sorted({name for one in read for name in one.boxes.source.tolist()})
     level_m = _middle_level(read) if scene.tidal else 0.0
