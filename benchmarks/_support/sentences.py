@@ -74,7 +74,7 @@ def ths(heading_deg: float, mode: str = "A") -> str:
     return sentence(f"HETHS,{heading_deg:.2f},{mode}")
 
 
-def payload(kind: int, second: float, **fields: float | str) -> str:
+def payload(kind: int, second: float, /, **fields: float | str) -> str:
     """What a position report says, six bits a character."""
     content = {
         "type": kind,

@@ -308,3 +308,48 @@ def test_velocities_stay_with_their_reports(tmp_path: Path) -> None:
     knots = 5.0 + (vessel.fixes.time_utc_s - NOON_S) / 10.0
     np.testing.assert_allclose(vessel.velocity_mps[:, 1], knots * 1852.0 / 3600.0, atol=0.03)
     assert north_deg(0.0) == pytest.approx(vessel.fixes.latitude_deg[0], abs=1e-5)
+
+
+@pytest.mark.parametrize("ahead_s", [40, -3600, 86400])
+@pytest.mark.parametrize("second", [None, 60])
+@pytest.mark.parametrize("both", [True, False])
+def test_reports_received_by_two_clocks(
+    tmp_path: Path, ahead_s: int, second: int | None, both: bool
+) -> None:
+    """Each station hears all, or they hear them by turns; the second one's clock is off."""
+    told = {} if second is None else {"second": second}
+    lines = []
+    for n, at in enumerate(range(0, 600, 10)):
+        report = vdm(payload(1, at, **told))
+        if both or n % 2 == 0:
+            lines.append(received(at, report))
+        if both or n % 2 == 1:
+            lines.append(received(at + ahead_s, report))
+    fixes, tally = read(tmp_path / "log.nmea", lines)
+    check(fixes, range(0, 600, 10 if both else 20))
+    (left,) = tally.left_out.items()
+    assert left[0] == "position reports received by another clock"
+    assert left[1].count == (60 if both else 30)
+    assert any("whose clocks disagree" in note for note in tally.notes)
+
+
+def test_what_comes_late_is_of_no_other_clock(tmp_path: Path) -> None:
+    """A network brings some reports minutes late, with the time at which they came."""
+    rng = np.random.default_rng(2)
+    seconds = np.arange(0, 1200, 10)
+    late_s = np.where(rng.random(seconds.size) < 0.3, rng.uniform(1.0, 25.0, seconds.size), 0.0)
+    order = np.argsort(seconds + rng.uniform(0.0, 60.0, seconds.size))
+    lines = [received(float(seconds[i] + late_s[i]), vdm(payload(1, seconds[i]))) for i in order]
+    fixes, tally = read(tmp_path / "log.nmea", lines)
+    check(fixes, range(0, 1200, 10))
+    assert not tally.left_out
+
+
+def test_a_report_that_two_stations_heard_counts_once_without_its_second(tmp_path: Path) -> None:
+    lines = []
+    for at in range(0, 400, 10):
+        report = vdm(payload(1, at, second=60))
+        lines += [received(at + 3, report), received(at, report)]
+    fixes, tally = read(tmp_path / "log.nmea", lines)
+    check(fixes, range(0, 400, 10))
+    assert tally.read["reports received again"] == 40

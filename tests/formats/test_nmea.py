@@ -18,6 +18,7 @@ from _support.sentences import (
     gll,
     gns,
     hdt,
+    moment,
     north_deg,
     off_m,
     place,
@@ -371,3 +372,70 @@ def test_talkers_that_take_turns_in_a_turn_are_one_receiver(
     shifted = "".join(made(i, 15.0 * (i % len(talkers) == 1)) for i in range(61))
     _, tally = read(tmp_path / "log.nmea", shifted)
     assert tally.left_out[f"RMC of another receiver ({talkers[1]})"].count == 60 // len(talkers)
+
+
+def another_clock(second: float, ahead_s: float, metres: float) -> str:
+    """RMC of a receiver at another antenna, or whose clock is ahead, of the same talker."""
+    where = f"{place(second).rpartition(',')[0].rpartition(',')[0]}"
+    east = degrees_minutes(LONGITUDE_DEG + metres / 64_900.0, 3)
+    date = moment(second + ahead_s, "%d%m%y")
+    return sentence(f"GPRMC,{clock(second + ahead_s)},A,{where},{east},E,6.0,0.0,{date},,,A")
+
+
+@pytest.mark.parametrize(
+    ("lag_s", "ahead_s", "metres"),
+    [
+        (0.5, 0.0, 6.0),
+        (0.3, 0.0, 6.0),
+        (0.0, 0.0, 6.0),
+        (0.0, 0.4, 3.0),
+        (0.0, 2.0, 0.0),
+        (0.0, 100.0, 0.0),
+        (0.0, -3600.0, 6.0),
+        (0.0, 86400.0, 0.0),
+        (0.3, 0.0, 2000.0),
+    ],
+)
+def test_a_second_receiver_of_the_same_talker_is_not_mixed_in(
+    tmp_path: Path, lag_s: float, ahead_s: float, metres: float
+) -> None:
+    text = "".join(
+        f"{rmc(second)}\r\n{another_clock(second + lag_s, ahead_s, metres)}\r\n"
+        for second in range(40)
+    )
+    fixes, tally = read(tmp_path / "log.nmea", text)
+    check(fixes, range(40))
+    np.testing.assert_allclose(fixes.longitude_deg, LONGITUDE_DEG, rtol=0, atol=1e-8)
+    (left,) = tally.left_out.items()
+    assert left[0] == "RMC of another receiver of the same name (GP)"
+    assert (left[1].count, left[1].row) == (40, "line 2")
+    assert any("log each by itself" in note for note in tally.notes)
+
+
+@pytest.mark.parametrize("every_s", [0.1, 0.5, 1.0, 10.0])
+@pytest.mark.parametrize("form", ["plain", "whole seconds", "late", "lost", "twice"])
+def test_one_receiver_stays_one(tmp_path: Path, every_s: float, form: str) -> None:
+    """In a turn, with errors that last, and with times as receivers write them."""
+    rng = np.random.default_rng(5)
+    seconds = np.arange(200) * every_s
+    off_m = np.cumsum(rng.normal(0.0, 0.3, (2, 200)), axis=1) + rng.normal(0.0, 0.5, (2, 200))
+    north_m = 60.0 * np.cos(seconds / 12.0) + off_m[0]
+    east_m = 60.0 * np.sin(seconds / 12.0) + off_m[1]
+    kept = rng.random(200) > 0.1 if form == "lost" else np.ones(200, dtype=bool)
+    told = np.floor(seconds) if form == "whole seconds" else seconds
+    told = told + (rng.uniform(0.0, 0.3 * every_s, 200) if form == "late" else 0.0)
+    lines = []
+    for i in np.flatnonzero(kept):
+        j = i - i % 2 if form == "twice" else i
+        latitude = degrees_minutes(LATITUDE_DEG + north_m[j] / 111_320.0, 2)
+        longitude = degrees_minutes(LONGITUDE_DEG + east_m[j] / 64_900.0, 3)
+        body = f"GPRMC,{clock(told[i])},A,{latitude},N,{longitude},E,6.0,0.0,300920,,,A"
+        lines.append(sentence(body) + "\r\n")
+    _, tally = read(tmp_path / "log.nmea", "".join(lines))
+    assert not any("another receiver" in reason for reason in tally.left_out)
+
+
+def test_a_log_after_another_says_where_to_cut(tmp_path: Path) -> None:
+    text = lines(lambda s: rmc(s + 300.0)) + lines(rmc)
+    with pytest.raises(InputError, match="line 21: .* cut it there"):
+        read(tmp_path / "log.nmea", text)

@@ -397,7 +397,8 @@ def check_order(
         i = int(np.argmax(backwards)) + 1
         raise InputError(
             f"{path}, {row} {np.asarray(rows)[i]}: {rfc3339(time_utc_s[i])} is earlier than the "
-            "fix before it; the times of a log must not decrease"
+            "fix before it; the times of a log must not decrease: cut it there if it is of two "
+            "receivers, or of a clock that was set back"
         )
 
 

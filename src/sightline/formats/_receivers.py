@@ -97,10 +97,10 @@ def runs_beside(first: Source, second: Source, *, same_times_are_two: bool = Fal
     if near.mean() <= _SHARE or float(np.median(apart_m(first, second[near]))) <= FIT_M:
         return False
     # What has a fix a second or more often does not wait for the turn of another name.
-    return max(steps_s) <= _OFTEN_S or _offset_is_certain(first, second[near])
+    return max(steps_s) <= _OFTEN_S or offset_is_certain(first, second[near])
 
 
-def _offset_is_certain(first: Source, second: Source) -> bool:
+def offset_is_certain(first: Source, second: Source) -> bool:
     """Whether two sources miss each other's line to opposite sides.
 
     A turn or a gap takes both off the other's line to the same side; another antenna does not.

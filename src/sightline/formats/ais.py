@@ -23,6 +23,7 @@ from sightline.formats._ais_messages import Message, MessageStream, read_message
 from sightline.formats._ais_table import Report, read_table_reports
 from sightline.formats._log_table import is_vessel_table
 from sightline.formats._sentences import ReceptionClock
+from sightline.formats._turns import by_clock
 from sightline.plausibility import distance_m
 from sightline.tally import Tally
 from sightline.types import Fixes, FloatArray, IntArray
@@ -44,6 +45,10 @@ _SIDES = ("bow", "stern", "port", "starboard")
 _UNTIMED = "position reports without a time of reception"
 _KNOT_MPS = 1852.0 / 3600.0
 _LONG_RANGE = 27
+
+# Networks bring what one station heard and another so much later; their clocks keep to that.
+_AGAIN_S = 20.0
+_CLOCKS_APART_S = 10.0
 
 # How far reports may lie from what the one before leads to, on top of what its speed does.
 _PLACE_M = 30.0
@@ -78,7 +83,8 @@ def read_ais(path: str | os.PathLike[str], *, tally: Tally | None = None) -> dic
     (``\c:1601494584*hh\``), or before or after the sentence, as ISO 8601 or POSIX seconds; where
     there is none, that of the RMC or ZDA before it will do. Where a report tells its second, the
     fix is at that second of the minute nearest to the reception. Reports arrive late and by several
-    stations, so fixes are put in order, and repeats count once.
+    stations, so fixes are put in order, and repeats count once. Where receivers whose clocks are
+    apart wrote into one log by turns, those of that with most reports are kept.
 
     A table with a column ``mmsi``, as of MarineCadastre or of the Danish Maritime Authority, is
     read as well, with its own times.
@@ -372,7 +378,7 @@ def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[Report]:
     if is_vessel_table(_files.beginning(path)):
         yield from read_table_reports(path, tally)
         return
-    usable = 0
+    found: list[tuple[Report, float, str]] = []
     reception = ReceptionClock()
     for message in read_messages(path, reception, tally):
         first, received_s = message.first, message.received_s
@@ -389,9 +395,8 @@ def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[Report]:
             tally.leave_out(reason, row=first.row, text=first.text)
             continue
         assert received_s is not None, "there would be a reason"
-        usable += 1
         second = getattr(report, "second", 60)
-        yield Report(
+        told = Report(
             first.line,
             int(report.mmsi),
             _refined_s(received_s, second) if second < 60 else received_s,
@@ -399,8 +404,47 @@ def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[Report]:
             float(report.lon),
             _velocity_mps(report),
         )
-    if not usable:
+        found.append((told, received_s, message.payload))
+    if not found:
         raise InputError(f"{path}: {_why_none(reception, tally)}")
+    yield from _once(_of_one_clock(found, tally), tally)
+
+
+def _of_one_clock(
+    found: list[tuple[Report, float, str]], tally: Tally
+) -> list[tuple[Report, float, str]]:
+    """Reports with when they were received, of the clock of most where receivers had several."""
+    received_s = np.array([one[1] for one in found])
+    clock = by_clock(received_s, least_s=_CLOCKS_APART_S)
+    if not clock.any():
+        return found
+    counts = np.bincount(clock)
+    kept = clock == clock[np.argmax(counts[clock] == counts.max())]
+    first = found[int(np.argmin(kept))][0]
+    tally.leave_out(
+        "position reports received by another clock", int((~kept).sum()), row=f"line {first.line}"
+    )
+    tally.note(
+        "several receivers wrote into it by turns, whose clocks disagree; what that with most "
+        "reports received is used, of as many the first: log each by itself to choose"
+    )
+    return [one for one, own in zip(found, kept.tolist(), strict=True) if own]
+
+
+def _once(found: list[tuple[Report, float, str]], tally: Tally) -> Iterator[Report]:
+    """Reports, each as it was received first: what several stations heard is one report."""
+    last: dict[tuple[int, str], float] = {}
+    again = np.zeros(len(found), dtype=bool)
+    for i in sorted(range(len(found)), key=lambda i: found[i][1]):
+        report, received_s, payload = found[i]
+        key = report.mmsi, payload
+        before_s = last.get(key, -math.inf)
+        again[i] = received_s - before_s <= _AGAIN_S
+        if not again[i]:
+            last[key] = received_s
+    if again.any():
+        tally.count("reports received again", int(again.sum()))
+    return (one[0] for one, repeat in zip(found, again.tolist(), strict=True) if not repeat)
 
 
 def _no_place(report: Any) -> str:

@@ -24,6 +24,7 @@ from sightline.formats._sentences import (
     SentenceReader,
     wrapped_s,
 )
+from sightline.formats._turns import by_turns
 from sightline.tally import Tally
 from sightline.types import BoolArray, Fixes, FloatArray, IntArray, utc_text
 
@@ -95,9 +96,9 @@ class TimedSentences:
             fixes = measured
         names, counts = np.unique(self.receiver[fixes], return_counts=True)
         if names.size < 2:
-            return rows
+            return self._of_one_turn(rows, fixes)
         names = names[np.argsort(-counts, kind="stable")]
-        kept: BoolArray = rows & (self.receiver == names[0])
+        kept = self._of_one_turn(rows & (self.receiver == names[0]), fixes)
         # The others are held against it alone: a line of several has more fixes than theirs.
         line = self._source(kept & fixes)
         for name in names[1:]:
@@ -107,6 +108,19 @@ class TimedSentences:
             own = self._source(more & fixes)
             if not backwards and not runs_beside(line, own, same_times_are_two=True):
                 kept |= more
+        return kept
+
+    def _of_one_turn(self, rows: BoolArray, fixes: BoolArray) -> BoolArray:
+        """Of the rows of a name those of one receiver, where several write by turns."""
+        told = np.flatnonzero(rows & fixes)
+        turn = by_turns(
+            Source(self.time_utc_s[told], self.latitude_deg[told], self.longitude_deg[told])
+        )
+        if not turn.any():
+            return rows
+        counts = np.bincount(turn)
+        kept = rows & fixes
+        kept[told[turn != turn[np.argmax(counts[turn] == counts.max())]]] = False
         return kept
 
     def _source(self, rows: BoolArray) -> Source:
@@ -161,7 +175,15 @@ def read_nmea(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fi
         which = others & (log.receiver == receiver)
         shown = _files.shortened(receiver)
         row = f"line {log.line[int(np.argmax(which))]}"
-        own.leave_out(f"{name} of another receiver ({shown})", int(which.sum()), row=row)
+        reason = f"{name} of another receiver ({shown})"
+        if (rows & (log.receiver == receiver)).any():
+            reason = f"{name} of another receiver of the same name ({shown})"
+            own.note(
+                f"two receivers of one name ({shown}) wrote into it by turns; that with most fixes "
+                "is used, of as many the first: log each by itself, or with its source in a TAG "
+                "block (s:), to choose"
+            )
+        own.leave_out(reason, int(which.sum()), row=row)
     fixes = rows & (log.quality == _MEASURED)
     estimated = rows & (log.quality == _ESTIMATED)
     if fixes.any():
