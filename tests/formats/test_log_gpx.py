@@ -203,3 +203,56 @@ def test_tracks_keep_what_a_log_would_lose(tmp_path: Path) -> None:
     (track,) = read_tracks(path)
     assert len(track) == 3
     assert len(read_fixes(path)) == 2
+
+
+def two_tracks(path: Path, first_m: np.ndarray, second_m: np.ndarray, late_s: float) -> Tally:
+    """Read two tracks, each (N, 2) metres east and north at whole seconds, the second later."""
+    text = ""
+    for name, begin_s, east_north_m in (("Anna", 0.0, first_m), ("Elsa", late_s, second_m)):
+        rows = "".join(
+            f'<trkpt lat="{54.3 + north / 111_320.0:.8f}" lon="{10.1 + east / 64_960.0:.8f}">'
+            f"<time>{np.datetime64(int((START_S + begin_s + i) * 1000), 'ms')}Z</time></trkpt>"
+            for i, (east, north) in enumerate(east_north_m)
+        )
+        text += f"<trk><name>{name}</name><trkseg>{rows}</trkseg></trk>"
+    path.write_text(f"{ROOT}{text}</gpx>", encoding="utf-8")
+    tally = Tally(path)
+    fixes = read_fixes(path, tally=tally)
+    tally.count("read", len(fixes))
+    return tally
+
+
+def lap(radius_m: float, phase: float, seconds: int = 200) -> np.ndarray:
+    angle = phase + np.arange(seconds) * 4.0 / radius_m
+    return radius_m * np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+
+def test_laps_of_one_device_are_all_read(tmp_path: Path) -> None:
+    tally = two_tracks(tmp_path / "log.gpx", lap(80.0, 0.0), lap(60.0, 1.0), 230.0)
+    assert tally.read["read"] == 400
+    assert not tally.left_out
+    assert tally.notes == ["its 2 tracks (Anna, Elsa) are read as those of one vessel"]
+
+
+@pytest.mark.parametrize("late_s", [0.0, 60.0])
+def test_two_boats_near_each_other_are_refused(tmp_path: Path, late_s: float) -> None:
+    """They sail laps of their own, 20 to 180 m apart; one log would leap from one to the other."""
+    with pytest.raises(InputError, match="track Elsa is of the same times as another .* in the"):
+        two_tracks(tmp_path / "log.gpx", lap(100.0, 0.0), lap(80.0, 2.0), late_s)
+
+
+@pytest.mark.parametrize("apart_m", [3.0, 25.0, 200.0])
+def test_two_receivers_on_board_of_one_ship_are_not_mixed(tmp_path: Path, apart_m: float) -> None:
+    """One at the bow and one astern: the ship turns, and they keep their distance."""
+    noise = np.random.default_rng(1).normal(0.0, 1.5, (2, 200, 2))
+    middle, ahead = lap(400.0, 0.0), lap(400.0, 0.5 * np.pi) / 400.0
+    bow, stern = middle + 0.5 * apart_m * ahead, middle - 0.5 * apart_m * ahead
+    astern = (stern + noise[1])[100:]
+    tally = two_tracks(tmp_path / "log.gpx", bow + noise[0], astern, 100.0)
+    assert tally.left_out["of a track of the same times as a longer one"].count in (98, 99)
+
+
+def test_two_receivers_of_a_ship_at_anchor_are_not_mixed(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(0.0, 1.5, (2, 200, 2))
+    tally = two_tracks(tmp_path / "log.gpx", noise[0], noise[1] + (80.0, 0.0), 0.0)
+    assert tally.left_out["of a track of the same times as a longer one"].count in (198, 199)

@@ -437,5 +437,5 @@ def test_one_receiver_stays_one(tmp_path: Path, every_s: float, form: str) -> No
 
 def test_a_log_after_another_says_where_to_cut(tmp_path: Path) -> None:
     text = lines(lambda s: rmc(s + 300.0)) + lines(rmc)
-    with pytest.raises(InputError, match="line 21: .* cut it there"):
+    with pytest.raises(InputError, match=r"line 21: .* cut it there"):
         read(tmp_path / "log.nmea", text)

@@ -20,6 +20,10 @@ _FEWEST = 3
 _CERTAIN = 4.0
 _EARTH_M = 6_371_008.8
 _USUAL_S = 1.0
+# So long before and after a course is taken from, of what goes as fast, most of the time.
+_COURSE_S = 3.0
+_UNDER_WAY_MPS = 1.0
+_MOSTLY = 0.5
 _LEAST_GAP_S, _GAPS = 10.0, 5.0
 
 
@@ -172,6 +176,34 @@ def apart_m(line: Source, fixes: Source) -> FloatArray:
         fixes: N of them.
     """
     return distance_m(fixes.latitude_deg, fixes.longitude_deg, *line.at(fixes.time_utc_s))
+
+
+def off_board_m(line: Source, fixes: Source) -> FloatArray:
+    """Metres of fixes from where, on board of what goes along a line, they mostly are.
+
+    Of what hardly moves nobody knows how it points: then by how much they are further from it, or
+    nearer, than mostly.
+
+    Args:
+        line: In the order of its times.
+        fixes: N of them.
+    """
+    north_deg, east_deg = line.at(fixes.time_utc_s)
+    metres = np.radians(1.0) * _EARTH_M
+    across = np.cos(np.radians(north_deg))
+    east_m = ((fixes.longitude_deg - east_deg + 180.0) % 360.0 - 180.0) * metres * across
+    off_m = np.stack([east_m, (fixes.latitude_deg - north_deg) * metres], axis=1)
+    before, after = (line.at(fixes.time_utc_s + lag_s) for lag_s in (-_COURSE_S, _COURSE_S))
+    way_m = np.stack([(after[1] - before[1]) * across, after[0] - before[0]], axis=1) * metres
+    length_m = np.hypot(*way_m.T)
+    moves = length_m > 2.0 * _COURSE_S * _UNDER_WAY_MPS
+    if moves.mean() < _MOSTLY:
+        apart = np.hypot(*off_m.T)
+        return np.asarray(np.abs(apart - np.median(apart)))
+    way = way_m[moves] / length_m[moves, None]
+    ahead = (off_m[moves] * way).sum(axis=1)
+    aside = off_m[moves, 0] * way[:, 1] - off_m[moves, 1] * way[:, 0]
+    return np.hypot(ahead - np.median(ahead), aside - np.median(aside))
 
 
 def _nearest_s(times_s: FloatArray, others_s: FloatArray) -> FloatArray:

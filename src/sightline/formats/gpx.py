@@ -23,7 +23,7 @@ from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
 from sightline.formats._gpx_points import GpxLine, GpxPoint, read_gpx_points
-from sightline.formats._receivers import FIT_M, Source, apart_m
+from sightline.formats._receivers import FIT_M, Source, apart_m, off_board_m
 from sightline.formats._times import NotUnderstoodError, read_times
 from sightline.synchronisation import mean_longitudes_deg, repeated
 from sightline.tally import Tally
@@ -33,7 +33,11 @@ _logger = logging.getLogger(__name__)
 
 # No ship is longer, so that two receivers on board of one are not further apart.
 _SHIP_M = 500.0
+# Receivers on board of one keep their places on it, but for their errors and the time between fixes.
+_BESIDE_M = 30.0
+_KEEPS_M, _KEEPS = 10.0, 0.15
 _FEWEST = 3
+_MOST_NAMED = 5
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 <gpx version="1.1" creator="sightline" xmlns="http://www.topografix.com/GPX/1/1">
 """
@@ -46,9 +50,10 @@ def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fix
     extensions, or in another namespace, is not the point's. Where there is no track, the points of
     routes and then the waypoints are its fixes, if they have times. Segments may stand in any
     order. Where tracks or segments are of the same times, the points of the longest are used there,
-    unless they lie on one line. Times that repeat, as receivers write that log whole seconds, are
-    kept; points without a time or a place, or with one that cannot be, are not, nor are fixes that
-    cannot be true (`sightline.plausibility`).
+    unless they lie on one line; where they are far apart, or now near and now far, they are of two
+    vessels. Times that repeat, as receivers write that log whole seconds, are kept; points without
+    a time or a place, or with one that cannot be, are not, nor are fixes that cannot be true
+    (`sightline.plausibility`).
 
     Args:
         path: The file. A document type is refused, since entities in it can fill the memory.
@@ -56,7 +61,7 @@ def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fix
 
     Raises:
         InputError: The file is no GPX or cut short, has no points, half of them are of no use,
-            times decrease within a segment, or two tracks of the same times are far apart.
+            times decrease within a segment, or two tracks of the same times are of two vessels.
     """
     own = tally if tally is not None else Tally(path)
     own.format = "GPX"
@@ -70,6 +75,7 @@ def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fix
             own.note(f"it has no track; its {kind} are read as fixes")
     own.count("track points", sum(len(line.points) for line in read.tracks))
     names = {line.track.name for line in read.tracks if line.track.name}
+    _note_tracks(read.tracks, own)
     fixes = _fixes(path, lines, names.pop() if len(names) == 1 else "", own)
     own.count("fixes", len(fixes))
     if tally is None:
@@ -174,6 +180,17 @@ def _segment(
     )
 
 
+def _note_tracks(lines: Sequence[GpxLine], tally: Tally) -> None:
+    """Say that several tracks are taken for one vessel's: nothing in a file says whose they are."""
+    tracks = {id(line.track): line.track.name for line in lines if line.points}
+    if len(tracks) < 2:
+        return
+    named = [_files.shortened(name) for name in dict.fromkeys(tracks.values()) if name]
+    more = ", ..." if len(named) > _MOST_NAMED else ""
+    which = f" ({', '.join(named[:_MOST_NAMED])}{more})" if named else ""
+    tally.note(f"its {len(tracks)} tracks{which} are read as those of one vessel")
+
+
 def _fixes(
     path: str | os.PathLike[str], lines: Sequence[GpxLine], name: str, tally: Tally
 ) -> Fixes:
@@ -248,7 +265,7 @@ def _of_one_track(
         if used is not None:
             within = own[used.covers(points.time_utc_s[own])]
             apart = float(np.median(apart_m(used, points[within]))) if within.size else 0.0
-            if apart > _SHIP_M and within.size >= _FEWEST:
+            if within.size >= _FEWEST and _of_another_vessel(used, points[within], apart):
                 name = _files.shortened(lines[i].track.name) or f"of point {rows[within[0]]}"
                 raise InputError(
                     f"{path}: its track {name} is of the same times as another and {apart:,.0f} m "
@@ -263,6 +280,14 @@ def _of_one_track(
                 own = own[kept[own]]
         used = points[own] if used is None else used.with_fixes_of(points[own])
     return kept
+
+
+def _of_another_vessel(line: Source, points: Source, apart_m: float) -> bool:
+    """Whether points that are so many metres from a track are not on board of one ship with it."""
+    if not _BESIDE_M < apart_m <= _SHIP_M:
+        return apart_m > _SHIP_M
+    varies_m = float(np.median(off_board_m(line, points)))
+    return varies_m > max(_KEEPS_M, _KEEPS * apart_m)
 
 
 def _check_timed(path: str | os.PathLike[str], points: Sequence[GpxPoint]) -> None:
