@@ -237,7 +237,7 @@ def test_laps_of_one_device_are_all_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("late_s", [0.0, 60.0])
 def test_two_boats_near_each_other_are_refused(tmp_path: Path, late_s: float) -> None:
     """They sail laps of their own, 20 to 180 m apart; one log would leap from one to the other."""
-    with pytest.raises(InputError, match="track Elsa is of the same times as another .* in the"):
+    with pytest.raises(InputError, match=r"track Elsa is of the same times as another .* in the"):
         two_tracks(tmp_path / "log.gpx", lap(100.0, 0.0), lap(80.0, 2.0), late_s)
 
 

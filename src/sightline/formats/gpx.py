@@ -33,7 +33,7 @@ _logger = logging.getLogger(__name__)
 
 # No ship is longer, so that two receivers on board of one are not further apart.
 _SHIP_M = 500.0
-# Receivers on board of one keep their places on it, but for their errors and the time between fixes.
+# Receivers on board of one keep their places on it, but for errors and the time between fixes.
 _BESIDE_M = 30.0
 _KEEPS_M, _KEEPS = 10.0, 0.15
 _FEWEST = 3
