@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -538,3 +539,59 @@ def test_no_picture_is_counted_twice_behind_damage(tmp_path: Path, seed: int) ->
     assert tally.read["frames"] == len(index) == 60 - tally.total_left_out
     np.testing.assert_allclose(times_s, np.array(index) / 10.0, atol=1e-4)
     agree(path, index, times_s, 60)
+
+
+def without_times(path: Path, which: Callable[[int], bool]) -> None:
+    """Take the times off some pictures of a transport stream, as encoders do that write few."""
+    data = bytearray(path.read_bytes())
+    begun, number = data.find(b"\x00\x00\x01\xe0"), 0
+    while begun >= 0:
+        flags = data[begun + 7] >> 6
+        if which(number) and flags:
+            size = 10 if flags == 3 else 5
+            data[begun + 7] &= 0x3F
+            data[begun + 9 : begun + 9 + size] = b"\xff" * size
+        begun, number = data.find(b"\x00\x00\x01\xe0", begun + 4), number + 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])
+@pytest.mark.parametrize(
+    "which",
+    [
+        lambda n: n == 0,
+        lambda n: n % 3 == 1,
+        lambda n: n % 10 in (2, 3, 4),
+        lambda n: n % 10 != 0,
+        lambda n: n > 20,
+    ],
+    ids=["first", "thirds", "runs", "all but key pictures", "end"],
+)
+def test_pictures_without_a_time_stand_evenly_between_those_with_one(
+    tmp_path: Path, codec: str, which: Callable[[int], bool]
+) -> None:
+    times = [*range(0, 1600, 40)]
+    path = write(tmp_path / "a.ts", times, codec, b_frames=2, tick=Fraction(1, 25))
+    without_times(path, which)
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    assert index == numbers == list(range(40))
+    np.testing.assert_allclose(times_s, np.array(times) / 1000.0, rtol=0, atol=1e-4)
+    agree(path, index, times_s, 40)
+    # FFmpeg itself tells those of MPEG-2 by its rate.
+    assert codec == "mpeg2video" or any("have no time" in note for note in tally.notes)
+
+
+@pytest.mark.parametrize("some", [0, 1])
+def test_a_transport_stream_without_times_has_none(tmp_path: Path, some: int) -> None:
+    path = write(tmp_path / "a.ts", [*range(0, 1600, 40)], b_frames=2, tick=Fraction(1, 25))
+    without_times(path, lambda number: number >= some)
+    tally = Tally(path)
+    index, times_s, numbers = seen(path, tally)
+    assert index == numbers == list(range(40))
+    assert np.isnan(times_s[some:]).all()
+    assert any("a clock (frame,utc) would tell" in note for note in tally.notes)
+    # With a clock it is as any other.
+    clock = presentation_clock(0.0, np.arange(40) * 0.04)
+    told = [frame.time_utc_s for frame in frames(path, clock=clock)]
+    np.testing.assert_allclose(told, np.arange(40) * 0.04, rtol=0, atol=1e-9)

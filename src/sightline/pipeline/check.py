@@ -437,7 +437,7 @@ def _check_times(scene: Scene, report: CheckReport) -> None:
             continue
         line = (
             f"recording {recording.name}: nothing tells the times of its frames; give start_utc "
-            "(with a video), clock (a table frame,utc), or time_utc with the boxes"
+            "(with a video that has times), clock (a table frame,utc), or time_utc with the boxes"
         )
         if seen is not None and recording.boxes_path is None and recording.detections_path is None:
             report.problems.append(line)

@@ -171,7 +171,7 @@ class Recording:
                 return presentation_clock(start_s, info.presentation_s)
         raise InputError(
             f"recording {self.name}: nothing tells the times of its frames; give start_utc (with "
-            "a video), clock (a table frame,utc), or time_utc with the boxes"
+            "a video that has times), clock (a table frame,utc), or time_utc with the boxes"
         )
 
     def boxes(self) -> Boxes:

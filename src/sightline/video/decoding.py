@@ -40,6 +40,8 @@ _MOST_REORDERED = 16
 _MOST_THREADS = 16
 # By so many of the next frames the time of one is judged.
 _LOOKED_AHEAD = 3
+# So many frames without a time are kept until one comes that has one.
+_MOST_UNTOLD = 32
 # Of these one packet is one picture, so that a packet without one is a lost picture. Others have
 # packets that only tell later ones something (VP8), or that repeat the picture (MPEG-4 part 2).
 ONE_PICTURE_A_PACKET = ("h264", "hevc", "vvc", "av1", "libdav1d", "mjpeg", "ffv1", "prores")
@@ -75,6 +77,14 @@ class Timeline:
         self._pauses: list[tuple[int, float]] = []
         self._disordered: list[int] = []
         self._wrong: list[int] = []
+        self._untold: list[int] = []
+        self._timeless: list[int] = []
+        self._since = 0
+
+    @property
+    def begun(self) -> bool:
+        """Whether a frame had a time."""
+        return self._origin_s is not None
 
     def interval_s(self) -> float:
         """The usual time from one frame to the next; 0 where that is not known yet."""
@@ -136,10 +146,29 @@ class Timeline:
         elif step_s > longest_step_s(interval_s) and self._frames:
             self._pauses.append((self._frames, step_s))
         elif self._frames:
-            self._intervals.append(step_s)
+            self._intervals.append(step_s / (self._since + 1))
         self._frames += 1
+        self._since = 0
         self._last_s = seconds
         return seconds
+
+    def between(self, raw_s: float) -> float:
+        """The time of a frame of which the video tells none, as those around it have it.
+
+        Args:
+            raw_s: What the video would say.
+        """
+        self._untold.append(self._frames)
+        return self.place(raw_s)
+
+    def untold(self) -> float:
+        """The time of a frame of which the video tells none; NaN where no interval is known."""
+        (self._untold if self._intervals else self._timeless).append(self._frames)
+        if self._intervals:
+            return self.after_last()
+        self._frames += 1
+        self._since += 1
+        return math.nan
 
     def after_last(self, most_s: float = math.inf) -> float:
         """The time of a frame of which the video tells none, or a wrong one.
@@ -165,6 +194,16 @@ class Timeline:
             tally.note(
                 f"its clock jumps ahead at frame {first}{more}, by up to {longest_s:.1f} s; that "
                 "is taken for a pause: a clock (frame,utc) would tell"
+            )
+        if self._untold:
+            tally.note(
+                f"{len(self._untold)} frames have no time (the first is frame {self._untold[0]}); "
+                "they are taken at even intervals between those that have one"
+            )
+        if self._timeless:
+            tally.note(
+                f"{len(self._timeless)} frames have no time, nor have enough beside them (the "
+                f"first is frame {self._timeless[0]}); a clock (frame,utc) would tell"
             )
         if self._wrong:
             tally.note(
@@ -464,6 +503,12 @@ class Decoder:
     def _placed(self, behind: int) -> Iterator[Decoded]:
         """The frames behind which there are so many others, with their times."""
         while len(self._next) > behind:
+            if self._clock.timed and self._next[0].key is None:
+                told = self._between(waits=behind > 0)
+                if told is None:
+                    return
+                yield from told
+                continue
             place = self._next.popleft()
             next_s = [self._raw_s(one.key) for one in self._next if one.key is not None]
             next_s = next_s[:_LOOKED_AHEAD]
@@ -478,6 +523,37 @@ class Decoder:
                 for one in place.lost:
                     yield self._frame(self._seconds(one, [*own_s, *next_s]), None)
             yield self._frame(self._seconds(place.key, next_s), place.picture)
+
+    def _between(self, *, waits: bool) -> list[Decoded] | None:
+        """The frames without a time that come first, evenly between those around them.
+
+        Args:
+            waits: Whether more frames will come. None is returned where they are waited for.
+        """
+        told = [index for index, place in enumerate(self._next) if place.key is not None]
+        if len(told) < (1 if self.timeline.begun else 2):
+            # That of an interval as well, where nothing came before.
+            if waits and len(self._next) < _MOST_UNTOLD:
+                return None
+            count = told[0] if told else len(self._next)
+            return [
+                self._frame(self.timeline.untold(), self._next.popleft().picture)
+                for _ in range(count)
+            ]
+        key = self._next[told[0]].key or _NO_KEY
+        raw_s = self._raw_s(key)
+        step_s = self.timeline.ahead_s(raw_s) / (told[0] + 1)
+        if not self.timeline.begun:
+            apart_s = self._raw_s(self._next[told[1]].key or key) - raw_s
+            step_s = max(0.0, apart_s / (told[1] - told[0]))
+        even = 0.0 < step_s <= _PAUSE_S / (told[0] + 1)
+        out = []
+        for number in range(told[0], 0, -1):
+            seconds = (
+                self.timeline.between(raw_s - number * step_s) if even else self.timeline.untold()
+            )
+            out.append(self._frame(seconds, self._next.popleft().picture))
+        return out
 
     def _frame(self, seconds: float, picture: av.VideoFrame | None) -> Decoded:
         if picture is None:
@@ -499,10 +575,8 @@ class Decoder:
         return key.ticks * self._tick_s
 
     def _seconds(self, key: Key | None, next_s: Sequence[float]) -> float:
-        if not self._clock.timed:
+        if not self._clock.timed or key is None:
             return float("nan")
-        if key is None:
-            return self.timeline.after_last()
         return self.timeline.place(self._raw_s(key), next_s)
 
     def _taken_slot(self, own: Key) -> Key:
