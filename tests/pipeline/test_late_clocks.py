@@ -177,6 +177,19 @@ def test_what_most_boxes_fit_is_no_clock_where_another_gives_all_a_place(
     assert abs(clock.offset_s - offset_s) < 3.0 * clock.sigma_s
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [24, 26, 31])
+def test_a_camera_that_explains_most_boxes_at_a_wrong_clock_is_no_end_of_the_search(
+    tmp_path: Path, seed: int
+) -> None:
+    """One recording of a minute by itself, whose log goes on as long before and after."""
+    scene = drawn_scene(tmp_path, {"01": 40.0}, seed=seed, duration_s=60.0)
+    clock = settled(scene)["01"].clock_found
+    assert clock is not None
+    assert clock.used_s == clock.offset_s
+    assert abs(clock.offset_s - 40.0) < 3.0 * clock.sigma_s
+
+
 @pytest.mark.parametrize("seed", [21, 31])
 @pytest.mark.parametrize("part_s", [(19.0, 41.0), (-60.0, 25.0), (-60.0, 40.0), (20.0, 120.0)])
 def test_a_log_of_part_of_a_recording_makes_its_clock_no_other(

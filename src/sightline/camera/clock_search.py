@@ -51,6 +51,7 @@ _BAD = 30.0
 _LOOKS = 9
 # Nats by which another clock has to be likelier than the one that was believed.
 _LEAST_LEAD = 3.0
+_MORE_A_BOX = 0.5
 _FEWEST = 5
 # Of the boxes of a recording that might have a place: where fewer have, the clock may be to blame.
 _COVERED = 0.8
@@ -115,12 +116,15 @@ class _Candidate:
         score: Logarithm of the posterior density, up to a constant.
         median: (R,) median squared standardised residual of each recording's boxes; infinite where
             most of them have no place.
+        loss: (R,) mean over its boxes of what their residuals cost, nats: a few that are far off
+            count, which the median does not see.
     """
 
     offset_s: FloatArray
     shape: FloatArray
     score: float
     median: FloatArray
+    loss: FloatArray
 
 
 def search_clocks(
@@ -185,7 +189,9 @@ class _Search:
         if believed is not None:
             believed = self._again(believed)
             found.append(self._placed(believed))
-        if not found or not (self._good(found[0], _GOOD) and self._covered(found[0])):
+        # At a wrong clock a camera that explains most boxes draws the clock along, as a rule.
+        limit = _VERY_GOOD if found and self.off(found[0]) else _GOOD
+        if not found or not (self._good(found[0], limit) and self._covered(found[0])):
             found += self._along(0.0, found)
             if not found or self._bad(max(found, key=_score)):
                 for zone_s in self._zones(range(len(self.recordings))):
@@ -197,9 +203,17 @@ class _Search:
         if self._good(few[0], _VERY_GOOD) and not self._bad(few[0]):
             few = few[:1]
         best = max((self._each(self._again(one)) for one in few), key=_score)
-        if believed is not None and best.score < believed.score + _LEAST_LEAD:
+        if believed is not None and best.score < believed.score + self._lead(believed):
             return believed
         return best
+
+    def _lead(self, believed: _Candidate) -> float:
+        """Nats by which another clock has to be likelier than one that was believed."""
+        if not (believed.median < _GOOD).all() or not self._covered(believed):
+            return _LEAST_LEAD
+        # Where it explains most boxes, another one is to explain the rest, and not by chance.
+        independent = sum(one.weight * one.asked for one in self.recordings)
+        return _LEAST_LEAD + _MORE_A_BOX * independent
 
     def off(self, one: _Candidate) -> bool:
         """Whether a clock of a candidate is not what was believed of it."""
@@ -213,8 +227,10 @@ class _Search:
         return None if self._bad(found) or self.off(found) else found
 
     def _good(self, one: _Candidate, limit: float) -> bool:
-        """Whether a camera explains the boxes that have places at its clocks."""
-        return bool((one.median[np.isfinite(one.median)] < limit).all())
+        """Whether a camera explains the boxes with places at its clocks, and not most alone."""
+        known = np.isfinite(one.median)
+        most = float(_loss(np.array(limit)))
+        return bool((one.median[known] < limit).all() and (one.loss[known] < most).all())
 
     def _covered(self, one: _Candidate) -> bool:
         """Whether no other clock gives many more boxes a place."""
@@ -395,17 +411,19 @@ class _Search:
             score -= recording.weight * float(cost_here)
         score -= float(cost[group >= len(self.recordings)].sum())
         shape = vector[: problem.layout.clocks.start].copy()
-        return _Candidate(moved_s, shape, score, self._medians(problem, square))
+        return _Candidate(moved_s, shape, score, *self._explained(problem, square))
 
-    def _medians(self, problem: MixedModel, square: FloatArray) -> FloatArray:
-        """(R,) `_Candidate.median` of squared standardised residuals (N,)."""
+    def _explained(self, problem: MixedModel, square: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(R,) `_Candidate.median` and ``loss`` of squared standardised residuals (N,)."""
         median = np.full(len(self.recordings), np.inf)
+        loss = median.copy()
         for index, recording in enumerate(self.recordings):
             rows = problem.sightings.group == index
             # Logs have gaps; only where most boxes have no place is the clock to blame.
             if rows.sum() >= recording.asked - rows.sum():
                 median[index] = np.median(square[rows])
-        return median
+                loss[index] = np.mean(_loss(square[rows]))
+        return median, loss
 
     def explained(self, one: _Candidate) -> FloatArray:
         """(R,) `_Candidate.median`, by the noise that is believed."""
@@ -413,7 +431,7 @@ class _Search:
             return one.median
         problem = self._problem(self._sightings(one.offset_s))
         vector = np.append(one.shape, np.zeros(problem.clock_groups.size))
-        return self._medians(problem, self._cost(problem, vector, self.beliefs.noise)[0])
+        return self._explained(problem, self._cost(problem, vector, self.beliefs.noise)[0])[0]
 
     def _unmatched(self, index: int, matched: int) -> float:
         missing = self.recordings[index].asked - matched
