@@ -353,3 +353,19 @@ def test_a_report_that_two_stations_heard_counts_once_without_its_second(tmp_pat
     fixes, tally = read(tmp_path / "log.nmea", lines)
     check(fixes, range(0, 400, 10))
     assert tally.read["reports received again"] == 40
+
+
+def test_reports_of_long_range_are_rough(tmp_path: Path) -> None:
+    """Their places are told to a tenth of a minute, 185 m, and would spoil those of the others."""
+    lines = [received(at, vdm(payload(27 if at % 40 == 0 else 1, at))) for at in range(0, 400, 10)]
+    fixes, tally = read(tmp_path / "log.nmea", lines)
+    assert len(fixes) == 30
+    assert off_m(fixes.latitude_deg, fixes.time_utc_s).max() < 0.2
+    (left,) = tally.left_out.items()
+    assert left[0].startswith("reports of long range (type 27)")
+    assert left[1].count == 10
+    fixes, tally = read(
+        tmp_path / "log.nmea", [received(at, vdm(payload(27, at))) for at in range(0, 3600, 180)]
+    )
+    assert len(fixes) == 20
+    assert any("their places may be 130 m off" in note for note in tally.notes)

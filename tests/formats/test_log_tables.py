@@ -369,3 +369,91 @@ def test_control_points_that_cannot_be(tmp_path: Path, text: str, message: str) 
     with pytest.raises(InputError, match=message) as caught:
         read_control_points(path)
     assert "\n" not in str(caught.value)
+
+
+def at_zone(hours: float) -> list[Row]:
+    return [
+        (iso(second + hours * 3600.0)[:-1], decimal(latitude), decimal(longitude))
+        for second, latitude, longitude in zip(SECONDS, LATITUDE, LONGITUDE, strict=True)
+    ]
+
+
+def read_text(path: Path, text: str) -> tuple[np.ndarray, Tally]:
+    path.write_text(text, encoding="utf-8")
+    tally = Tally(path)
+    return read_fixes(path, tally=tally).time_utc_s - START_S, tally
+
+
+@pytest.mark.parametrize(
+    ("header", "hours"),
+    [
+        ("Time (UTC+2)", 2.0),
+        ("time [GMT-05:00]", -5.0),
+        ("datetime(+0530)", 5.5),
+        ("timestamp (UTC)", 0.0),
+        ("Time (GMT+0)", 0.0),
+    ],
+)
+def test_the_zone_of_a_column_may_stand_in_its_name(
+    tmp_path: Path, header: str, hours: float
+) -> None:
+    text = table(f"{header},lat,lon", rows=at_zone(hours))
+    found_s, tally = read_text(tmp_path / "log.csv", text)
+    np.testing.assert_allclose(found_s, SECONDS, rtol=0, atol=1e-3)
+    assert not any("name no zone" in note for note in tally.notes)
+    assert (hours != 0.0) == any("taken for those of UTC" in note for note in tally.notes)
+
+
+@pytest.mark.parametrize("time", ["{}Z", "{}+00:00", "{} UTC"])
+def test_a_time_that_names_its_zone_goes_before_the_name_of_its_column(
+    tmp_path: Path, time: str
+) -> None:
+    rows = [(time.format(when), *place) for when, *place in at_zone(0.0)]
+    found_s, _ = read_text(tmp_path / "log.csv", table("Time (UTC+2),lat,lon", rows=rows))
+    np.testing.assert_allclose(found_s, SECONDS, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("zone", ["+02:00", "UTC+2", "+0200"])
+def test_the_zone_of_a_row_may_stand_beside_its_time(tmp_path: Path, zone: str) -> None:
+    text = table("time,tz,lat,lon", f"{{0}},{zone},{{1}},{{2}}", rows=at_zone(2.0))
+    found_s, _ = read_text(tmp_path / "log.csv", text)
+    np.testing.assert_allclose(found_s, SECONDS, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("header", ["time (Europe/Berlin)", "time [CEST]", "time (local time)"])
+def test_a_zone_that_is_no_number_of_hours_is_refused(tmp_path: Path, header: str) -> None:
+    with pytest.raises(InputError, match="write it as UTC"):
+        read_text(tmp_path / "log.csv", table(f"{header},lat,lon", rows=at_zone(2.0)))
+
+
+def test_numbers_of_gps_are_no_posix_seconds(tmp_path: Path) -> None:
+    """GPS is 315,964,782 s behind, so that 2024 would be 2014."""
+    rows = [(f"{START_S - 315_964_782.0 + s:.3f}", "54.3", "10.1") for s in SECONDS]
+    with pytest.raises(InputError, match="GPS counts from 1980"):
+        read_text(tmp_path / "log.csv", table("gps time,lat,lon", rows=rows))
+
+
+def test_a_second_device_in_a_table_is_not_mixed_in(tmp_path: Path) -> None:
+    rows = table("device,time,lat,lon", "A,{0},{1},{2}").splitlines()
+    others = [
+        ("B", iso(second), decimal(latitude + 0.001), decimal(longitude))
+        for second, latitude, longitude in zip(SECONDS, LATITUDE, LONGITUDE, strict=True)
+    ]
+    lines = [rows[0]]
+    for own, other in zip(rows[1:], others, strict=True):
+        lines += [own, ",".join(other)]
+    path = tmp_path / "log.csv"
+    found_s, tally = read_text(path, "\n".join(lines))
+    np.testing.assert_allclose(found_s, SECONDS, rtol=0, atol=1e-3)
+    assert tally.left_out["of another receiver"].count == N
+    assert any("two receivers" in note for note in tally.notes)
+
+
+def test_a_mark_of_utf8_before_json_is_no_part_of_it(tmp_path: Path) -> None:
+    rows = [
+        f'{{"time": "{iso(second)}", "lat": {latitude}, "lon": {longitude}}}\n'
+        for second, latitude, longitude in zip(SECONDS, LATITUDE, LONGITUDE, strict=True)
+    ]
+    found_s, tally = read_text(tmp_path / "log.jsonl", "\ufeff" + "".join(rows))
+    np.testing.assert_allclose(found_s, SECONDS, rtol=0, atol=1e-3)
+    assert not tally.left_out

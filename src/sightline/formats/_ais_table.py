@@ -12,7 +12,7 @@ import pandas as pd
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
 from sightline.formats._degrees import read_degrees
-from sightline.formats._log_table import mps_of_unit, plain, read_log_table
+from sightline.formats._log_table import mps_of_unit, read_log_table, zone_s
 from sightline.tally import Tally
 from sightline.types import FloatArray
 
@@ -34,6 +34,7 @@ class Report:
         latitude_deg: Degrees north.
         longitude_deg: Degrees east.
         velocity_mps: East and north; NaN where it tells none.
+        rough: Whether its place is told to a tenth of a minute only, as for satellites.
     """
 
     line: int
@@ -42,6 +43,7 @@ class Report:
     latitude_deg: float
     longitude_deg: float
     velocity_mps: tuple[float, float]
+    rough: bool = False
 
 
 def read_table_reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[Report]:
@@ -92,7 +94,7 @@ def read_table_reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[R
         when.tolist(),
         tally,
         title=title,
-        zone_told="utc" in plain(title),
+        zone_s=zone_s(path, table, when),
         day_first=table.day_first,
     )
     velocity = _velocity_mps(table.speed, table.course, rows, tally)

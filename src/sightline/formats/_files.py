@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import logging
 import os
 import re
@@ -116,9 +117,12 @@ def log_lines(path: str | os.PathLike[str]) -> Iterator[tuple[int, str]]:
     checksum tells, and not the log.
     """
     with existing(path).open("rb") as file:
-        encoding = text_encoding(file.read(_SNIFFED_BYTES))
+        head = file.read(_SNIFFED_BYTES)
+    encoding = text_encoding(head)
     encoding = encoding if encoding.startswith("utf-16") else "ascii"
     with existing(path).open(encoding=encoding, errors="replace") as file:
+        if head.startswith(codecs.BOM_UTF8):
+            file.read(len(codecs.BOM_UTF8))
         yield from enumerate(file, start=1)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from bisect import bisect_right
 from collections.abc import Sequence
 
@@ -38,6 +39,14 @@ _FEW_SHARE = 0.05
 _OFTEN_S = 3600.0
 
 
+# Of a time that names its zone; numbers count from 1970, in UTC.
+_ZONED = re.compile(
+    r":\d\d.*?(?:Z|UTC|GMT|[+\-\u2212]\d{1,2}(?::?\d\d)?(?![\d-]))|^\s*[-+.,\deE]+\s*$"
+    r"|^\d{8}T?\d{6}\S*Z$",
+    re.IGNORECASE,
+)
+
+
 def row_times(
     path: str | os.PathLike[str],
     rows: ArrayLike,
@@ -46,7 +55,7 @@ def row_times(
     *,
     row: str = "line",
     title: str = "",
-    zone_told: bool = False,
+    zone_s: float | FloatArray | None = None,
     day_first: bool | None = None,
 ) -> FloatArray:
     """(N,) POSIX seconds of the rows of a log; NaN of those that are left out.
@@ -58,7 +67,8 @@ def row_times(
         tally: Takes what is left out and assumed.
         row: What ``rows`` counts.
         title: Of their column, for messages.
-        zone_told: Whether it says that its times are in UTC.
+        zone_s: Seconds by which the zone of times that name none is ahead of UTC, one or (N,);
+            None where nothing says so, and UTC is assumed.
         day_first: As for `read_times`.
 
     Raises:
@@ -87,8 +97,14 @@ def row_times(
         first = next(iter(read.refused))
         where = f"{row} {numbers[first]}"
         tally.leave_out(UNREAD_TIME, len(read.refused), row=where, text=texts[first])
-    _files.note_how_read(read, tally, zone_told=zone_told)
-    return read.time_utc_s
+    ahead_s = np.broadcast_to(0.0 if zone_s is None else zone_s, len(texts))
+    bare = np.array([not _ZONED.search(text) for text in texts], dtype=bool)
+    ahead_s = np.where(bare & read.zoneless, ahead_s, 0.0)
+    if ahead_s.any():
+        hours = " and ".join(f"UTC{hour:+g}" for hour in np.unique(ahead_s / 3600.0)[:3])
+        tally.note(f"its times are taken for those of {hours}, as it says")
+    _files.note_how_read(read, tally, zone_told=zone_s is not None)
+    return np.asarray(read.time_utc_s - ahead_s)
 
 
 def fixes(

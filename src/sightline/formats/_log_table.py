@@ -9,10 +9,13 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from sightline.errors import InputError
 from sightline.formats import _files
+from sightline.formats._zones import offset_in, told_offset_s
+from sightline.types import FloatArray
 
 
 def _names(*groups: str) -> tuple[tuple[str, ...], ...]:
@@ -31,6 +34,7 @@ _TIMES = _names(
     "timestampmillis timemillis tst",
 )
 _DATES = ("dateutc", "utcdate", "date", "gpsdate", "fixdate", "day")
+_ZONES = ("tz", "timezone", "tzoffset", "utcoffset", "timezoneoffset", "gmtoffset")
 _LOCAL = ("timelocal", "localtime", "datetimelocal", "localdatetime")
 _LATITUDES = _names(
     "latitudedeg",
@@ -97,6 +101,7 @@ class LogTable:
         mmsi: Text of the MMSI; as for ``heading``.
         course: Text of the course over ground; as for ``heading``.
         speed: Text of the speed over ground; as for ``heading``.
+        zone: Text of the zone of each time; None where there is no such column.
         day_first: Whether its program writes dates with the day first; None: not known.
     """
 
@@ -109,6 +114,7 @@ class LogTable:
     mmsi: pd.Series | None = None
     course: pd.Series | None = None
     speed: pd.Series | None = None
+    zone: pd.Series | None = None
     day_first: bool | None = None
 
 
@@ -226,10 +232,34 @@ def read_log_table(
         day_first=True if set(map(plain, names)) >= _DANISH else None,
         **{
             key: table[key].rename(names[columns[key]].strip())
-            for key in ("heading", "mmsi", "course", "speed")
+            for key in ("heading", "mmsi", "course", "speed", "zone")
             if key in columns
         },
     )
+
+
+def zone_s(
+    path: str | os.PathLike[str], table: LogTable, when: pd.Series
+) -> float | FloatArray | None:
+    """Seconds by which times are ahead of UTC, one or (N,), as their header or a column tells.
+
+    Args:
+        path: The file.
+        table: Its columns.
+        when: N of its times.
+
+    Raises:
+        InputError: A zone is named that may be several, or none that is known.
+    """
+    told_s = offset_in(path, str(table.time.name))
+    if told_s is not None or table.zone is None:
+        return told_s
+    named = table.zone[when.index]
+    where = f"its column {table.zone.name}"
+    known = {
+        text: told_offset_s(path, text, where) if text else 0.0 for text in named.unique().tolist()
+    }
+    return np.asarray(named.map(known), dtype=np.float64)
 
 
 def _rows(
@@ -331,6 +361,9 @@ def _columns(path: str | os.PathLike[str], names: list[str]) -> dict[str, int]:
         which = [i for i, name in enumerate(plains) if name in aliases and i not in own]
         if which:
             columns[key] = which[0]
+    which = [i for i, name in enumerate(plains) if name in _ZONES]
+    if which:
+        columns["zone"] = which[0]
     which = [plains.index(name) for name in _DATES if name in plains]
     if which:
         columns["date"] = which[0]

@@ -203,7 +203,7 @@ def off_board_m(line: Source, fixes: Source) -> FloatArray:
     way = way_m[moves] / length_m[moves, None]
     ahead = (off_m[moves] * way).sum(axis=1)
     aside = off_m[moves, 0] * way[:, 1] - off_m[moves, 1] * way[:, 0]
-    return np.hypot(ahead - np.median(ahead), aside - np.median(aside))
+    return np.asarray(np.hypot(ahead - np.median(ahead), aside - np.median(aside)))
 
 
 def _nearest_s(times_s: FloatArray, others_s: FloatArray) -> FloatArray:

@@ -87,7 +87,7 @@ def by_clock(time_s: FloatArray, *, least_s: float = 0.0) -> IntArray:
         return np.zeros_like(clock)
     # As others of a clock stand around it; the first of one may be near to the last of another.
     off_s = np.stack([time_s - _between(time_s, clock == number) for number in usual])
-    clock = np.argmin(np.abs(off_s), axis=0)
+    clock = np.asarray(np.argmin(np.abs(off_s), axis=0), dtype=np.int64)
     for number in range(usual.size):
         for own_s in off_s[np.arange(usual.size) != number][:, clock == number]:
             lag_s = float(np.median(own_s))

@@ -45,6 +45,7 @@ _SIDES = ("bow", "stern", "port", "starboard")
 _UNTIMED = "position reports without a time of reception"
 _KNOT_MPS = 1852.0 / 3600.0
 _LONG_RANGE = 27
+_FEWEST_FINE = 2
 
 # Networks bring what one station heard and another so much later; their clocks keep to that.
 _AGAIN_S = 20.0
@@ -273,7 +274,23 @@ def _vessels(path: str | os.PathLike[str], tally: Tally) -> dict[int, list[Repor
         own.setdefault(place, report)
     if repeats:
         tally.count("reports received again", repeats)
-    return {mmsi: [own[place] for place in sorted(own)] for mmsi, own in seen.items()}
+    return {mmsi: _fine([own[place] for place in sorted(own)], tally) for mmsi, own in seen.items()}
+
+
+def _fine(reports: list[Report], tally: Tally) -> list[Report]:
+    """Of a vessel's reports those of fine places; all where there are too few."""
+    rough = [one for one in reports if one.rough]
+    if not rough:
+        return reports
+    if len(reports) - len(rough) >= _FEWEST_FINE:
+        reason = "reports of long range (type 27), whose places are told to a tenth of a minute"
+        tally.leave_out(reason, len(rough), row=f"line {rough[0].line}")
+        return [one for one in reports if not one.rough]
+    tally.note(
+        f"{len(rough)} reports of vessel {rough[0].mmsi} are of long range (type 27): their places "
+        "may be 130 m off"
+    )
+    return reports
 
 
 def _feed(
@@ -403,6 +420,7 @@ def _reports(path: str | os.PathLike[str], tally: Tally) -> Iterator[Report]:
             float(report.lat),
             float(report.lon),
             _velocity_mps(report),
+            rough=int(report.msg_type) == _LONG_RANGE,
         )
         found.append((told, received_s, message.payload))
     if not found:

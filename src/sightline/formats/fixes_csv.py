@@ -12,9 +12,11 @@ from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
 from sightline.formats._degrees import read_degrees
 from sightline.formats._json_logs import read_json_log
-from sightline.formats._log_table import LogTable, plain, read_log_table
+from sightline.formats._log_table import LogTable, plain, read_log_table, zone_s
+from sightline.formats._receivers import Source
+from sightline.formats._turns import by_turns
 from sightline.tally import Tally
-from sightline.types import Fixes, FloatArray
+from sightline.types import BoolArray, Fixes, FloatArray, IntArray
 
 _logger = logging.getLogger(__name__)
 
@@ -90,14 +92,16 @@ def _of_table(path: str | os.PathLike[str], table: LogTable, own: Tally, row: st
         )
     when = table.time[placed]
     title = str(table.time.name)
+    texts = when.tolist()
+    _check_epoch(path, title, texts)
     time_s = _log_rows.row_times(
         path,
         when.index,
-        when.tolist(),
+        texts,
         own,
         row=row,
         title=title,
-        zone_told="utc" in plain(title),
+        zone_s=zone_s(path, table, when),
         day_first=table.day_first,
     )
     timed = np.isfinite(time_s)
@@ -113,7 +117,43 @@ def _of_table(path: str | os.PathLike[str], table: LogTable, own: Tally, row: st
         time_s, latitude, longitude, lines = (
             column[::-1] for column in (time_s, latitude, longitude, lines)
         )
+    kept = _of_one_receiver(Source(time_s, latitude, longitude), lines, own, row)
+    time_s, latitude, longitude, lines = (
+        column[kept] for column in (time_s, latitude, longitude, lines)
+    )
     return _log_rows.fixes(path, lines, time_s, latitude, longitude, row=row, tally=own)
+
+
+def _of_one_receiver(fixes: Source, lines: IntArray, tally: Tally, row: str) -> BoolArray:
+    """(N,) bool, the fixes of one receiver where several wrote by turns."""
+    kept = np.ones(len(fixes), dtype=bool)
+    able = np.flatnonzero(
+        _log_rows.on_the_earth(fixes.latitude_deg, fixes.longitude_deg)
+        & ((fixes.latitude_deg != 0.0) | (fixes.longitude_deg != 0.0))
+    )
+    turn = by_turns(fixes[able])
+    if not turn.any():
+        return kept
+    counts = np.bincount(turn)
+    kept[able[turn != turn[np.argmax(counts[turn] == counts.max())]]] = False
+    first = lines[int(np.argmin(kept))]
+    tally.leave_out("of another receiver", int((~kept).sum()), row=f"{row} {first}")
+    tally.note(
+        "two receivers wrote into it by turns; that with most fixes is used, of as many the first: "
+        "give each a log of its own to choose"
+    )
+    return kept
+
+
+def _check_epoch(path: str | os.PathLike[str], title: str, texts: list[str]) -> None:
+    """Raise an error where numbers may count from 1980 as well as from 1970."""
+    numbers = [text.replace(".", "", 1).isdecimal() for text in texts if text]
+    if "gps" in plain(title) and "utc" not in plain(title) and 2 * sum(numbers) > len(numbers):
+        raise InputError(
+            f"{path}: its times ({title}) are numbers, which GPS counts from 1980 and without leap "
+            "seconds, and computers from 1970; write them as 2020-09-30T19:36:24Z, or call the "
+            "column timestamp where they count from 1970"
+        )
 
 
 def newest_first(time_utc_s: FloatArray) -> bool:

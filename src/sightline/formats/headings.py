@@ -12,7 +12,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
-from sightline.formats._log_table import is_log_table, plain, read_log_table
+from sightline.formats._log_table import is_log_table, read_log_table, zone_s
 from sightline.formats._sentences import ReceptionClock, Sentence, SentenceReader
 from sightline.formats.fixes_csv import newest_first
 from sightline.formats.nmea import TIMED_KINDS, read_timed
@@ -89,14 +89,13 @@ def _in_table(path: str | os.PathLike[str], tally: Tally) -> Headings | None:
     title, when = str(table.time.name), table.time[given.index[~unread]]
     # What is wrong with times is said of the fixes.
     unsaid = Tally(path)
-    zone_told = "utc" in plain(title)
     times = _log_rows.row_times(
         path,
         when.index,
         when.tolist(),
         unsaid,
         title=title,
-        zone_told=zone_told,
+        zone_s=zone_s(path, table, when),
         day_first=table.day_first,
     )
     timed = np.isfinite(times)

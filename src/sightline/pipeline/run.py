@@ -168,7 +168,8 @@ def run(
     smoothed = _report_tracks(tracked.scored, left_out)
     single_boxes = _report_boxes(single, left_out)
     smoothed_rest, single_rest = _report_tracks(tracked.scored, rest), _report_boxes(single, rest)
-    own = {one.recording: one.clock for one in placed if one.recording in models} | tracked.clocks
+    own = {one.recording: one.clock for one in placed if one.recording in models}
+    own.update(tracked.clocks)
     left = _left_out(settings.tally, seen.tally)
     notes = (*clock_notes(own), *said, *tracked.notes, *_left_out_notes(left))
     notes += () if looker.look is None else looker.look.sentences()[1:]
