@@ -271,7 +271,7 @@ def test_a_recording_left_out_without_drawn_boxes_is_scored_at_a_clock_of_its_ow
         )
     monkeypatch.setattr(
         "sightline.pipeline.run._in_log_time",
-        lambda by_camera, _: (by_camera.with_clocks(dict.fromkeys(("01", "02"), 37.0)), ()),
+        lambda by_camera, _: (by_camera.with_clocks(dict.fromkeys(("01", "02", "03"), 37.0)), ()),
     )
     told_wrongly = sightline.run(scene).smoothed
     assert told_wrongly is not None

@@ -319,8 +319,8 @@ def _track_each(
                 again = replace(settings, tally=None)
                 own = judged_scene[recording.name]
                 judged = track_recording(own, held, seen, again)
-                if own.boxes_path is None:
-                    # The clock that is known so far was told by a model that saw the recording.
+                if own.boxes_path is None and own.clock_offset_s != own.clock_prior.mean_s:
+                    # What is known of its clock so far was told by a model that saw it.
                     clock = clocks[own.name] = _clock_by_tracks(own, judged, held)
                     used_s = own.clock_prior.mean_s if clock is None else clock.used_s
                     if used_s != own.clock_offset_s:
