@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from sightline import _optional
@@ -14,9 +13,7 @@ from sightline.cli.options import JsonOption, OverwriteOption, RecordingsOption,
 from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import parse_names
 from sightline.cli.replacing import keep_others
-from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings
 from sightline.errors import InputError
-from sightline.scene import Scene
 
 _FRAMES, _EVERYWHERE, _CHECKED = 40, 4, 4
 _CROPS_OF_FEW, _MANY = 6, 500
@@ -66,6 +63,10 @@ def combine(
     measured on recordings and pictures that were left out.
     """
     _optional.module("torch", "train")
+    import numpy as np
+
+    from sightline.detection import DetectorOptions, OnnxDetector, TilingSettings
+    from sightline.scene import Scene
     from sightline.training.data import Labels, synthetic_pictures
     from sightline.training.gated import (
         Described,
