@@ -112,6 +112,10 @@ def live(
             metavar="FILE", help="Token of the page; absent: SIGHTLINE_TOKEN in the environment."
         ),
     ] = None,
+    shore: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="GeoJSON of the shore, which the page's map shows."),
+    ] = None,
     log: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Log as JSON lines; - for standard error."),
@@ -146,7 +150,7 @@ def live(
         _override(table, "detector", enlarge=enlarge, budget_ms=budget)
         _override(table, "detector", classes=classes.split(",") if classes else None)
         _override(table, "store", file=store)
-        _override(table, "server", address=serve, token_file=token_file)
+        _override(table, "server", address=serve, token_file=token_file, shore=shore)
         _override(table, "ais", source=ais)
         _override(table, "log", file=log)
         _override(table, "feeds", nmea=nmea, signalk=signalk, cot=cot, mqtt=mqtt)
@@ -421,6 +425,7 @@ class _Session:
             health=health,
             picture=picture,
             store=Path(table.store.file) if table.store.file else None,
+            shore=Path(table.server.shore) if table.server.shore else None,
         )
 
     def _tried_server(self) -> str:

@@ -82,6 +82,7 @@ class ServerTable(Table):
 
     address: str | None = None
     token_file: str | None = None
+    shore: str | None = None
 
 
 class FeedsTable(Table):
@@ -130,6 +131,7 @@ _PATHS = (
     ("source", "frame_clock"),
     ("store", "file"),
     ("server", "token_file"),
+    ("server", "shore"),
     ("log", "file"),
 )
 

@@ -23,7 +23,6 @@ from sightline.atomic import atomic_path
 from sightline.errors import InputError, unknown_name
 from sightline.geodesy import LocalPlane
 from sightline.platform import Platform
-from sightline.simulation.boats import Boat
 from sightline.simulation.camera import SimulatedCamera
 from sightline.simulation.harbour import (
     DOCK,
@@ -253,8 +252,7 @@ def simulate(
         if not settings.video:
             for i, recording in enumerate(shot):
                 _write_horizon(folder / "horizon" / f"{recording.name}.csv", harbour, recording, i)
-    talkers = [boat for boat in harbour.boats if boat.shape.kind == "ferry"]
-    _write_ais(folder / "ais.nmea", harbour, [harbour.target, *talkers])
+    _write_ais(folder / "ais.nmea", harbour)
     drawn: dict[str, object] = {
         "seed": settings.seed,
         "clock": settings.clock_kind,
@@ -441,12 +439,26 @@ def _write_horizon(path: Path, harbour: Harbour, recording: Recording, seed: int
     _write_rows(path, ("frame", "left_y_px", "right_y_px"), rows)
 
 
-def _write_ais(path: Path, harbour: Harbour, boats: list[Boat]) -> None:
+def _write_ais(path: Path, harbour: Harbour) -> None:
+    _write_text(path, "".join(f"{line}\n" for _, line in ais_sentences(harbour)))
+
+
+def ais_sentences(harbour: Harbour, shift_s: float = 0.0) -> list[tuple[float, str]]:
+    """What the target and the ferries of a harbour broadcast: AIS type 18, with tag blocks.
+
+    Args:
+        harbour: The world.
+        shift_s: Added to all times, as if it were another day.
+
+    Returns:
+        The shifted time of each sentence, POSIX seconds, and the sentence, in order of time.
+    """
     lines = []
-    for boat in boats:
+    talkers = [boat for boat in harbour.boats if boat.shape.kind == "ferry"]
+    for boat in (harbour.target, *talkers):
         fixes = harbour.fixes(AIS_TRANSPONDER, boat=boat, seed=1)
         truth = harbour.truth(fixes.time_utc_s, [boat])
-        for i, time_s in enumerate(fixes.time_utc_s.tolist()):
+        for i, time_s in enumerate((fixes.time_utc_s + shift_s).tolist()):
             report = {
                 "type": 18,
                 "mmsi": _FIRST_MMSI + boat.identity - 1,
@@ -460,8 +472,8 @@ def _write_ais(path: Path, harbour: Harbour, boats: list[Boat]) -> None:
             }
             sentence = encode_dict(report, talker_id="AI", sentence_type="VDM")[0]
             tag = f"s:sightline,c:{int(time_s)}"
-            lines.append((time_s, f"\\{tag}*{reduce(xor, tag.encode()):02X}\\{sentence}\n"))
-    _write_text(path, "".join(line for _, line in sorted(lines)))
+            lines.append((time_s, f"\\{tag}*{reduce(xor, tag.encode()):02X}\\{sentence}"))
+    return sorted(lines)
 
 
 def _write_truth(
@@ -531,7 +543,7 @@ def _write_videos(
     look: Look | None,
     progress: Callable[[float], None] | None,
 ) -> None:
-    paint = _painter(harbour, look)
+    paint = painter(harbour, look)
     total = sum(recording.time_utc_s.size for recording in shot)
     done = 0
     for recording in shot:
@@ -548,8 +560,13 @@ def _write_videos(
         write_video(folder / f"{recording.name}.mp4", frames(), preset="ultrafast")
 
 
-def _painter(harbour: Harbour, look: Look | None) -> Callable[[float], Image]:
-    """What paints the picture at a time."""
+def painter(harbour: Harbour, look: Look | None) -> Callable[[float], Image]:
+    """What paints the picture of a harbour, (H, W, 3) blue, green, red, at a POSIX time.
+
+    Args:
+        harbour: The world.
+        look: How it is drawn; None: as its seed says.
+    """
     platform, knock = harbour.platform, harbour.knock
     if platform is None and knock is None:
         return Renderer(harbour, look).image
