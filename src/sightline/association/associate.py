@@ -14,6 +14,7 @@ from sightline.camera.parameters import HEADING
 from sightline.camera.pinhole import Camera
 from sightline.clock_offset import LARGEST_OFFSET_S
 from sightline.errors import FitError
+from sightline.threads import on_one_thread
 from sightline.types import BoolArray, FloatArray, IntArray
 
 LEAST_EVIDENCE = 0.0
@@ -97,6 +98,7 @@ class _Judged:
     evidence: float
 
 
+@on_one_thread
 def associate(
     watches: Sequence[RecordingObservations],
     image_size_px: tuple[int, int],

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from sightline.camera.motion import StaticInterval
 from sightline.camera.observations import Landmarks
@@ -32,6 +31,7 @@ from sightline.georeferencing.models import (
 )
 from sightline.georeferencing.stages import fit_in_stages
 from sightline.georeferencing.support import Support
+from sightline.threads import on_one_thread
 from sightline.types import BoolArray, Boxes, ControlPoints, FloatArray, Horizons
 
 
@@ -106,6 +106,7 @@ class _Knowledge:
     origin: LocalPlane | None = None
 
 
+@on_one_thread
 def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer:
     """Fit a georeferencer.
 
@@ -123,12 +124,7 @@ def fit(inputs: FitInputs, settings: FitSettings | None = None) -> Georeferencer
         InputError: The model's name is not known.
         FitError: There are too few pairs, all in one place, or no camera explains them.
     """
-    # Matrices are small: threads would wait for each other, and the last digits depend on them.
-    with threadpool_limits(limits=1, user_api="blas"):
-        return _fit(inputs, settings or FitSettings())
-
-
-def _fit(inputs: FitInputs, settings: FitSettings) -> Georeferencer:
+    settings = settings or FitSettings()
     kind = model_type(settings.model)
     usual = settings.prior or CameraPrior()
     if inputs.stated.keys:

@@ -32,6 +32,7 @@ from sightline.camera.rotation import seen_again
 from sightline.errors import InputError
 from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.threads import on_one_thread
 from sightline.types import FloatArray
 
 _TURNS = (HEADING, PITCH, ROLL)
@@ -123,6 +124,7 @@ def prior_of(model: Georeferencer, *, turned: bool, inflation: float = 2.0) -> C
     return replace(prior, pitch_deg=(camera.pitch_deg, pitch), roll_deg=(camera.roll_deg, roll))
 
 
+@on_one_thread
 def detect_camera_change(
     model: Georeferencer,
     pairs: Correspondences,
@@ -179,6 +181,7 @@ def detect_camera_change(
     return CameraChangeReport(turned=by_pictures or bool(by_boxes), statements=tuple(said))
 
 
+@on_one_thread
 def camera_changes(
     model: Georeferencer, pairs: Correspondences, *, correlation_time_s: float = 2.0
 ) -> tuple[CameraChange, ...]:

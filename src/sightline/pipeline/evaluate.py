@@ -35,12 +35,14 @@ from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.scene.correspondences import collect, settled
 from sightline.synchronisation import LARGEST_GAP_S
+from sightline.threads import on_one_thread
 from sightline.tracks import Tracks
 from sightline.trajectory import TrajectoryMethod, method
 from sightline.trajectory.forecast import MotionModel, MotionState
 from sightline.types import Boxes, Fixes, LocatedBoxes, Track
 
 
+@on_one_thread
 def evaluate(
     what: Tracks | Iterable[Track] | Scene | str | os.PathLike[str],
     *,
@@ -290,6 +292,7 @@ def with_forecasts(report: Report, placed: Sequence[LocatedRecording]) -> Report
     return replace(report, forecast=forecast_errors(targets.values()), recordings=parts)
 
 
+@on_one_thread
 def leave_one_out(
     scene: Scene,
     model: str | ModelType = DEFAULT_MODEL,
@@ -379,6 +382,7 @@ def recordings_with_correspondences(scene: Scene, inputs: FitInputs) -> list[str
     return names
 
 
+@on_one_thread
 def compare(
     scene: Scene,
     models: Sequence[str] = MODELS,

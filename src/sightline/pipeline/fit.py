@@ -12,9 +12,11 @@ from sightline.georeferencing.paper.model import PAPER_MODELS
 from sightline.progress import Progress
 from sightline.scene import Scene
 from sightline.scene.correspondences import collect
+from sightline.threads import on_one_thread
 from sightline.types import Boxes
 
 
+@on_one_thread
 def fit(
     scene: Scene,
     model: str | ModelType = DEFAULT_MODEL,

@@ -42,6 +42,7 @@ from sightline.scene.correspondences import (
 from sightline.scene.detections import SceneDetections, lower_edges_of
 from sightline.scene.hull import Hull
 from sightline.synchronisation import LARGEST_GAP_S, check_overlap
+from sightline.threads import on_one_thread
 from sightline.types import BoolArray, Boxes, FloatArray, IntArray
 
 CORRELATION_TIME_S = 1.5
@@ -70,6 +71,7 @@ _UNLIKE_RENDERED_SHARE = 0.5
 _LEAST_SIGMA_M = 0.1
 
 
+@on_one_thread
 def fit_scene(
     scene: Scene,
     model: str | ModelType = DEFAULT_MODEL,
@@ -138,6 +140,7 @@ def fit_scene(
     )
 
 
+@on_one_thread
 def associate_scene(
     scene: Scene,
     *,
@@ -288,6 +291,7 @@ def _over_water(
     ]
 
 
+@on_one_thread
 def fit_association(
     scene: Scene,
     association: Association,
@@ -370,6 +374,7 @@ def _clocks_of(association: Association, scene: Scene) -> dict[str, RecordingClo
     }
 
 
+@on_one_thread
 def update_scene(
     scene: Scene,
     old: Georeferencer,

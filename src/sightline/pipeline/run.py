@@ -43,6 +43,7 @@ from sightline.scene import Recording, Scene
 from sightline.scene.correspondences import collect, settled
 from sightline.scene.detections import SceneDetections
 from sightline.tally import Tally
+from sightline.threads import on_one_thread
 from sightline.tracks import Tracks
 from sightline.trajectory import method
 from sightline.types import NO_TRACK, Boxes, Positions, Track
@@ -94,6 +95,7 @@ class RunResult:
     first_look: FirstLook | None = None
 
 
+@on_one_thread
 def run(
     scene: Scene,
     *,

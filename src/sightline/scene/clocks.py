@@ -25,6 +25,7 @@ from sightline.plausibility import FASTEST_MPS
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.scene.camera_state import scene_horizons
 from sightline.scene.scene import Recording, Scene
+from sightline.threads import on_one_thread
 from sightline.types import Boxes, Fixes, FloatArray
 from sightline.water import WaterLevels
 
@@ -32,6 +33,7 @@ _FEWEST = 5
 _STARTS_UNKNOWN = 24
 
 
+@on_one_thread
 def settle_clocks(scene: Scene, plane: LocalPlane, prior: CameraPrior | None = None) -> Scene:
     """The scene in the logs' time, as far as drawn boxes and logs tell it.
 
