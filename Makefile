@@ -14,6 +14,7 @@ BIN := $(VENV)/bin
 BASE := $(VENV)/.base
 DEV := $(VENV)/.dev
 BENCH := $(VENV)/.bench
+LIVE := $(VENV)/.live
 TRAIN := $(VENV)/.train
 
 PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
@@ -21,7 +22,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check \
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-fast test-train check mutate fuzz licences format bench docs gallery constraints clean
+.PHONY: help demo live-demo test test-fast test-train check mutate fuzz licences format bench docs gallery constraints clean
 
 help:  ## say what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -29,6 +30,9 @@ help:  ## say what can be made
 
 demo: $(BASE)  ## simulate a harbour, run the whole pipeline on it, say where the results lie
 	$(BIN)/sightline demo
+
+live-demo: $(LIVE)  ## watch a synthetic harbour live: boats move on a map in the browser
+	$(BIN)/python examples/live_demo.py
 
 test: $(DEV)  ## run all tests but those of training
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
@@ -105,6 +109,10 @@ $(BASE): pyproject.toml constraints.txt | $(BIN)/python
 
 $(DEV): $(BASE)
 	$(PIP_INSTALL) --group dev
+	@touch $@
+
+$(LIVE): $(BASE)
+	$(PIP_INSTALL) --editable '.[live]'
 	@touch $@
 
 $(TRAIN): $(DEV)

@@ -1,7 +1,16 @@
 from __future__ import annotations
 
+import contextlib
+import functools
+import json
 import re
 import runpy
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
 from pathlib import Path
 
 import cv2
@@ -139,3 +148,37 @@ def test_road_traffic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     for _, speed_kmh, near_end_m in found:
         assert float(speed_kmh) < 5.0
         assert float(near_end_m) < 2.0
+
+
+@pytest.mark.slow
+def test_live_demo(tmp_path: Path) -> None:
+    """Boats are on the map, and one of them has a name, while a made camera is watched."""
+    pytest.importorskip("uvicorn", reason="the extra live is not installed")
+    ports = [free_port() for _ in range(3)]
+    command = [sys.executable, EXAMPLES / "live_demo.py", tmp_path / "demo", "--seconds", "120"]
+    for name, port in zip(("--serve", "--pictures", "--ais"), ports, strict=True):
+        command += [name, f"127.0.0.1:{port}"]
+    # Whatever started the tests in a shell's background has it ignore interrupts.
+    heard = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    demo = subprocess.Popen(command, preexec_fn=heard)
+    named = False
+    address = f"http://127.0.0.1:{ports[0]}/api/moment"
+    try:
+        for _ in range(900):
+            with contextlib.suppress(OSError):
+                targets = json.loads(urllib.request.urlopen(address, timeout=1).read())["targets"]
+                named = any((one["name"] or "").startswith("LAUNCH") for one in targets)
+            if named or demo.poll() is not None:
+                break
+            time.sleep(0.1)
+    finally:
+        demo.send_signal(signal.SIGINT)
+        ended = demo.wait(30.0)
+    assert named
+    assert ended == 0
+    assert sightline.load(tmp_path / "demo" / "model.safetensors").model == "camera"
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as made:
+        return int(made.getsockname()[1])

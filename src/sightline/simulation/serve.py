@@ -118,7 +118,7 @@ class HarbourServer:
 
     def sentences(self) -> list[tuple[float, str]]:
         """AIS sentences and the times at which they are sent, POSIX seconds."""
-        return ais_sentences(self._harbour, self.shift_s)
+        return ais_sentences(self._harbour, self.shift_s, names=True)
 
     def pause_until(self, time_utc_s: float) -> bool:
         """Wait for a time; False where the harbour's time is over before."""

@@ -63,6 +63,7 @@ CLOCK_STEP_S = 5.0
 
 _LONGEST_S = 86_400.0
 _FIRST_MMSI = 211_000_001
+_NAMED_EVERY = 4
 _RATE_JITTER = 0.15
 _LOST_FRAMES = 0.004
 _STILL_MPS = 0.05
@@ -443,12 +444,15 @@ def _write_ais(path: Path, harbour: Harbour) -> None:
     _write_text(path, "".join(f"{line}\n" for _, line in ais_sentences(harbour)))
 
 
-def ais_sentences(harbour: Harbour, shift_s: float = 0.0) -> list[tuple[float, str]]:
+def ais_sentences(
+    harbour: Harbour, shift_s: float = 0.0, *, names: bool = False
+) -> list[tuple[float, str]]:
     """What the target and the ferries of a harbour broadcast: AIS type 18, with tag blocks.
 
     Args:
         harbour: The world.
         shift_s: Added to all times, as if it were another day.
+        names: Whether their names are broadcast too, after each fourth position (type 24, A).
 
     Returns:
         The shifted time of each sentence, POSIX seconds, and the sentence, in order of time.
@@ -472,7 +476,14 @@ def ais_sentences(harbour: Harbour, shift_s: float = 0.0) -> list[tuple[float, s
             }
             sentence = encode_dict(report, talker_id="AI", sentence_type="VDM")[0]
             tag = f"s:sightline,c:{int(time_s)}"
-            lines.append((time_s, f"\\{tag}*{reduce(xor, tag.encode()):02X}\\{sentence}"))
+            head = f"\\{tag}*{reduce(xor, tag.encode()):02X}\\"
+            lines.append((time_s, head + sentence))
+            if names and i % _NAMED_EVERY == 0:
+                kind = "FERRY" if boat.shape.kind == "ferry" else "LAUNCH"
+                told = {"type": 24, "partno": 0, "mmsi": report["mmsi"]}
+                told["shipname"] = f"{kind} {boat.identity}"
+                static = encode_dict(told, talker_id="AI", sentence_type="VDM")[0]
+                lines.append((time_s, head + static))
     return sorted(lines)
 
 
