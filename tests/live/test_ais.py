@@ -15,7 +15,7 @@ from sightline.errors import InputError
 from sightline.formats import AisReport, AisStream
 from sightline.geodesy import LocalPlane
 from sightline.live.ais import AisMatcher, AisReceiver, check_ais
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.tally import Tally
 
 PLANE = LocalPlane(54.32, 10.14)

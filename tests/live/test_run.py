@@ -11,10 +11,10 @@ import pytest
 
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.lines import Lines
-from sightline.live.moment import Moment
 from sightline.live.run import Camera, EarlierRun, LiveRun
 from sightline.live.source import Health, LiveFrame, SourceCounts
 from sightline.live.store import Keeper, Store, stored_tracks
+from sightline.moment import Moment
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
 from sightline.types import Boxes, Frame
 from sightline.video.mask import Mask

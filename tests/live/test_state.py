@@ -10,8 +10,8 @@ from sightline.camera.state import CameraHistory
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.filter import TargetFilter
-from sightline.live.moment import Moment
 from sightline.live.state import LiveState, SmoothedPart, StateSettings
+from sightline.moment import Moment
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
 from sightline.types import Boxes
 

@@ -18,9 +18,9 @@ from sightline.cli import main
 from sightline.errors import InputError
 from sightline.formats import read_tracks
 from sightline.geodesy import LocalPlane
-from sightline.live.moment import Moment, TargetState
 from sightline.live.state import SmoothedPart
 from sightline.live.store import Keeper, Store, check_store, stored_tracks
+from sightline.moment import Moment, TargetState
 from sightline.types import Track
 
 PLANE = LocalPlane(54.32, 10.14)

@@ -15,7 +15,7 @@ from PIL import Image
 from web_browser import Browser, browser
 from web_moments import HOSTILE, PLANE, SIZE_PX, START, harbour, moment, target, until
 
-from sightline.live.moment import Moment
+from sightline.moment import Moment
 from sightline.types import ellipses
 from sightline.web.app import STATIC
 from sightline.web.server import LiveServer

@@ -19,7 +19,7 @@ from sightline import formats
 from sightline.formats import read_tracks
 from sightline.formats.labels import Labels, write_labels
 from sightline.geodesy import LocalPlane
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.live.state import SmoothedPart
 from sightline.live.store import Store
 from sightline.pipeline.fit import fit

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from sightline.georeferencing.georeferencer import Georeferencer
     from sightline.live.config import LiveTable
     from sightline.live.journal import Journal
-    from sightline.live.moment import Feed
     from sightline.live.run import Camera
     from sightline.live.source import CameraSource, PlayedSource, SourceEvent
     from sightline.live.store import Store
+    from sightline.moment import Feed
     from sightline.web.server import LiveServer
 
 _Kind = Literal["nmea", "signalk", "cot", "mqtt"]

@@ -27,7 +27,7 @@ from scipy.optimize import linear_sum_assignment
 from sightline.errors import InputError
 from sightline.formats import AisReport, AisStream
 from sightline.geodesy import LocalPlane
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.tally import Tally
 from sightline.types import FloatArray
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import av
 import numpy as np
 
-from sightline.live.moment import CaptureClock
+from sightline.moment import CaptureClock
 
 _REMEMBERED = 25
 _STEP_S = 0.5

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 
-from sightline.live.moment import Feed, Moment
+from sightline.moment import Feed, Moment
 from sightline.text import without_secrets
 
 _WAITING = 2

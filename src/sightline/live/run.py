@@ -18,10 +18,10 @@ from sightline.detection import Detector
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.ais import AisMatcher
 from sightline.live.lines import Lines
-from sightline.live.moment import Feed, Moment
 from sightline.live.source import LiveFrame, Source, SourceEvent
 from sightline.live.state import LiveState, StateSettings
 from sightline.live.store import Keeper
+from sightline.moment import Feed, Moment
 from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.types import Frame
 from sightline.video.mask import GREY, Mask

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sightline.clock import Clock
 from sightline.errors import InputError
 from sightline.live.capture_times import CaptureTime, CaptureTimes, sender_utc_s
-from sightline.live.moment import CaptureClock
+from sightline.moment import CaptureClock
 from sightline.tally import Tally
 from sightline.text import without_secrets
 from sightline.types import Frame

@@ -16,7 +16,7 @@ from sightline.camera.state import ObservedBoxes
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.filter import TargetFilter
-from sightline.live.moment import CaptureClock, Moment, State, TargetState
+from sightline.moment import CaptureClock, Moment, State, TargetState
 from sightline.pipeline.sources import follows_on_earth
 from sightline.pipeline.track import positions_on_earth
 from sightline.tracking import ImageTracker, TargetTracker, WorldTracker

@@ -39,8 +39,8 @@ import numpy as np
 from sightline.atomic import locked
 from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
-from sightline.live.moment import Moment
 from sightline.live.state import SmoothedPart
+from sightline.moment import Moment
 from sightline.types import PointKind, Track
 
 SCHEMA_VERSION = 1

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from sightline.live.moment import Moment
+from sightline.moment import Moment
 from sightline.text import encodable_text
 from sightline.web.memory import TrackMemory
 

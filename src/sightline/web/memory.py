@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.text import encodable_text
 from sightline.types import ellipses, to_datetime64
 

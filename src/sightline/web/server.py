@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from sightline import _optional
 from sightline.errors import InputError
-from sightline.live.moment import Moment
+from sightline.moment import Moment
 from sightline.web.access import Guard, is_loopback, parse_address
 from sightline.web.hub import Hub
 

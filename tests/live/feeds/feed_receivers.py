@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 
 # 1 June 2024, 10:00:00 UTC by `date -u -d 2024-06-01T10:00:00Z +%s`.
 START = 1_717_236_000.0

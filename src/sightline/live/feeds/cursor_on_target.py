@@ -15,7 +15,7 @@ from sightline.live.feeds.address import Address
 from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed, Transport
 from sightline.live.feeds.transports import TcpTransport, UdpTransport
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.text import xml_text
 from sightline.types import ellipses, to_datetime64
 

@@ -13,7 +13,7 @@ from sightline import _optional
 from sightline.errors import InputError
 from sightline.live.feeds.address import Address
 from sightline.live.feeds.queued import QueuedFeed
-from sightline.live.moment import Moment
+from sightline.moment import Moment
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags

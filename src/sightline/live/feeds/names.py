@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sightline.live.moment import TargetState
+from sightline.moment import TargetState
 
 
 def display_name(target: TargetState) -> str:

@@ -13,7 +13,7 @@ from sightline.live.feeds.address import Address
 from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed
 from sightline.live.feeds.transports import TcpServerTransport, UdpTransport
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.types import to_datetime64
 
 _PORTS = {"tcp": 10110, "udp": 10110}

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from sightline.live.moment import Moment
+from sightline.moment import Moment
 from sightline.text import terminal_text
 
 _logger = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ class Transport(Protocol):
 
 
 class QueuedFeed:
-    """Publishes moments from a thread of its own; see `sightline.live.moment.Feed`.
+    """Publishes moments from a thread of its own; see `sightline.moment.Feed`.
 
     A receiver that is slow loses the oldest moments, and one that has gone is tried again, after
     pauses that grow.

@@ -23,7 +23,7 @@ from sightline.live.feeds.address import Address
 from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed, Transport
 from sightline.live.feeds.transports import TcpTransport, UdpTransport, connect
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 from sightline.text import encodable_text, terminal_text
 from sightline.types import to_datetime64
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from sightline.live.moment import Moment, TargetState
+from sightline.moment import Moment, TargetState
 
 
 def test_the_message_of_a_moment_has_the_keys_and_the_numbers_of_the_contract():
