@@ -23,6 +23,7 @@ from sightline.cli.export import export
 from sightline.cli.fit import fit
 from sightline.cli.live import live
 from sightline.cli.run import run
+from sightline.cli.show import show
 from sightline.cli.simulate import simulate
 from sightline.cli.track import TrackCommand, track
 from sightline.errors import SightlineError, StoppedError
@@ -46,7 +47,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, check, run, fit, compare, track, live, export, evaluate, detect, simulate):
+for command in (
+    *(demo, check, run, fit, compare, track, show, live, export, evaluate, detect, simulate),
+):
     app.command(cls=TrackCommand if command in (track, export) else None)(command)
 app.add_typer(detector)
 

@@ -37,6 +37,7 @@ _RESULTS = (
     {"model", "fit"},
     {"tracks", "points", "files"},
     {"frames", "boxes", "file"},
+    {"frames", "tracks", "file"},
     {"scene", "recordings"},
     {"detector", "recordings"},
     {"detector", "export_difference"},
@@ -197,6 +198,12 @@ def _is_figure(path: Path) -> bool:
     return b"sightline" in head + tail
 
 
+def _is_video(path: Path) -> bool:
+    _, tail = _ends(path)
+    # The comment of the file, behind its pictures.
+    return b"sightline show" in tail
+
+
 def _is_detector(path: Path) -> bool:
     _, tail = _ends(path)
     return b"sightline" in tail
@@ -209,6 +216,7 @@ KINDS = {
     "result": "a result as JSON",
     "page": "a report",
     "figure": "a figure",
+    "video": "a video",
     "detector": "a detector",
 }
 """What a file can hold, as messages name it."""
@@ -220,5 +228,6 @@ _KNOWN: dict[str, Callable[[Path], bool]] = {
     "result": _is_result,
     "page": _is_page,
     "figure": _is_figure,
+    "video": _is_video,
     "detector": _is_detector,
 }

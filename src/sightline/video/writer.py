@@ -13,6 +13,7 @@ import numpy as np
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.types import Frame
+from sightline.video.sound import Sound
 
 # Each codec with the finest time base that it takes: MPEG-4 part 2 has 16 bits for it.
 _CODECS = {"libx264": Fraction(1, 1_000_000), "mpeg4": Fraction(1, 60_000)}
@@ -24,6 +25,8 @@ def write_video(
     *,
     bits_per_second: int = 4_000_000,
     preset: str = "veryfast",
+    sound: Sound | None = None,
+    comment: str = "",
 ) -> int:
     """Write frames with the times at which they were taken, whatever their spacing.
 
@@ -38,6 +41,8 @@ def write_video(
         bits_per_second: Mean rate to aim for.
         preset: How long H.264 may search for a better picture at that rate, one of x264's names,
             ``"ultrafast"`` to ``"veryslow"``.
+        sound: Copied beside the pictures, as long as these last.
+        comment: Of the file; players show it.
 
     Returns:
         The number of frames written.
@@ -71,6 +76,9 @@ def write_video(
                 container.metadata["creation_time"] = datetime.fromtimestamp(start_s, UTC).strftime(
                     "%Y-%m-%dT%H:%M:%S.%fZ"
                 )
+                container.metadata["comment"] = comment
+                if sound is not None:
+                    sound.begin(container)
             elif frame.time_utc_s - last_s < float(time_base):
                 raise InputError(
                     f"{path}: frame {frame.index} is not later than the frame before it; "
@@ -85,6 +93,8 @@ def write_video(
             picture.time_base = time_base
             picture.pts = round((frame.time_utc_s - start_s) / time_base)
             container.mux(stream.encode(picture))
+            if sound is not None:
+                sound.until(frame.time_utc_s - start_s)
             last_s = frame.time_utc_s
             count += 1
         if stream is None:
