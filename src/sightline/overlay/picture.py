@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.camera.pinhole import Camera
 from sightline.errors import InputError
@@ -22,6 +23,7 @@ from sightline.overlay.style import (
     drawable,
     length_text,
     line,
+    plate,
     scale_of,
     text_size_px,
     write,
@@ -35,12 +37,12 @@ from sightline.overlay.water_view import (
 from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.platform import POSITION_SIGMA_M
 from sightline.reference_trajectory import ReferenceTrajectory
-from sightline.types import Boxes, Fixes, FloatArray, Frame, Track, ellipses, rfc3339
+from sightline.types import Boxes, Fixes, FloatArray, Frame, IntArray, Track, ellipses, rfc3339
 from sightline.video.mask import Mask
 from sightline.water import WaterLevels
 
 _LEAST_CONFIDENCE = 0.4
-_LAYER_OPACITY = 0.55
+_LAYER_OPACITY = 0.7
 _GRID: Colour = (233, 200, 140)
 _KNOTS_PER_MPS = 3600.0 / 1852.0
 
@@ -90,6 +92,11 @@ class Found:
     mask: Mask | None = None
 
 
+_Layer = tuple[IntArray, NDArray[np.float32], NDArray[np.float32]]
+"""Rows of the flat picture that are painted, (N,); the paint, (N, 3), as much as there is of it;
+and how much is left of the picture, (N, 1)."""
+
+
 @dataclass
 class _Labels:
     """Texts of a frame, of which none lies on another."""
@@ -137,7 +144,7 @@ class Overlay:
         self._log_sigma_m = sigma_m or model.reference_sigma_m or POSITION_SIGMA_M
         self._key: tuple[float, ...] = ()
         self._view = WaterView.of(self._camera)
-        self._layer: tuple[FloatArray, FloatArray] | None = None
+        self._layer: _Layer | None = None
         self._trails: dict[int, FloatArray] = {}
         self._map = self._inset()
 
@@ -168,12 +175,14 @@ class Overlay:
         if self._map is not None:
             self._map.begin()
             labels.taken.append(self._map.bounds_px)
-        self._draw_log(image, time_utc_s, labels)
         self._draw_targets(image, frame, time_utc_s, labels)
+        self._draw_log(image, time_utc_s, labels)
         if self._map is not None:
             self._map.put_on(image)
         stamp = rfc3339(time_utc_s).replace("T", " ").replace("Z", " UTC")
-        write(image, stamp, 10, 22 * self._scale, WHITE, 1.1 * self._scale)
+        wide, tall = text_size_px(stamp, 1.1 * self._scale)
+        plate(image, 6, 6, 14 + wide, 12 + tall)
+        write(image, stamp, 10, 4 + tall, WHITE, 1.1 * self._scale)
         return image
 
     def _inset(self) -> InsetMap | None:
@@ -205,8 +214,8 @@ class Overlay:
             self._layer = self._water_layer()
             self._trails = {}
 
-    def _water_layer(self) -> tuple[FloatArray, FloatArray] | None:
-        """Pixels on which rings, grid and horizon lie, as rows of the flat picture; their paint."""
+    def _water_layer(self) -> _Layer | None:
+        """Rings, grid and horizon."""
         settings = self._settings
         width, height = self._model.image_size_px
         if not (settings.rings or settings.grid or settings.horizon):
@@ -223,8 +232,11 @@ class Overlay:
                 self._write_radius(paint, radius_m, ring)
         if settings.horizon:
             line(paint, self._view.horizon_px(), colour_of(2), halo=False, dashed=True)
-        rows = np.flatnonzero(paint.reshape(-1, 3).any(axis=1))
-        return rows, paint.reshape(-1, 3)[rows].astype(np.float32) * _LAYER_OPACITY
+        flat = paint.reshape(-1, 3)
+        rows = np.flatnonzero(flat.any(axis=1))
+        # The smooth edge of a line on black is its colour times the share of the pixel.
+        chosen = flat[rows].astype(np.float32) * _LAYER_OPACITY
+        return rows, chosen, 1.0 - chosen.max(axis=1, keepdims=True) / 255.0
 
     def _write_radius(self, paint: Image, radius_m: float, ring: FloatArray) -> None:
         width, height = self._model.image_size_px
@@ -240,9 +252,9 @@ class Overlay:
     def _draw_layer(self, image: Image) -> None:
         if self._layer is None:
             return
-        rows, paint = self._layer
+        rows, paint, left = self._layer
         flat = image.reshape(-1, 3)
-        flat[rows] = (flat[rows] * (1.0 - _LAYER_OPACITY) + paint).astype(np.uint8)
+        flat[rows] = (flat[rows] * left + paint).astype(np.uint8)
 
     def _draw_log(self, image: Image, time_utc_s: float, labels: _Labels) -> None:
         """Draw where the log says that its vessel was, with its ellipse."""
@@ -263,7 +275,7 @@ class Overlay:
                 line(image, np.array([at - step, at + step]), WHITE)
         if self._map is not None:
             self._map.target(place, outline, "", WHITE)
-        self._label(image, [name], at + np.array([0.0, 24.0 * self._scale]), WHITE, labels)
+        self._label(image, [name], _around(at, 8.0 * self._scale), WHITE, labels)
 
     def _draw_targets(self, image: Image, frame: Frame, time_utc_s: float, labels: _Labels) -> None:
         targets = self._targets.at(time_utc_s)
@@ -281,7 +293,8 @@ class Overlay:
             paint = _colour(target)
             self._draw_trail(image, target, time_utc_s)
             outline = ellipse_outline(target.east_north_m, target.covariance_m2)
-            line(image, self._view.pixels(outline), paint, dashed=not target.measured)
+            shape = self._view.pixels(outline)
+            line(image, shape, paint, thickness=thick, halo=False, dashed=not target.measured)
             if row is not None:
                 line(image, box_outline(boxes.xyxy_px[row]), paint, thickness=thick)
             dot(image, foot, paint, 2.5 * self._scale)
@@ -292,10 +305,13 @@ class Overlay:
         order = sorted(
             range(len(targets)), key=lambda i: (targets[i].track.never_moves, -feet[i, 1])
         )
+        about = [
+            _around(foot, 6.0 * self._scale) if row is None else boxes.xyxy_px[row]
+            for foot, row in zip(feet, rows, strict=True)
+        ]
+        labels.taken += [tuple(box) for box in boxes.xyxy_px.tolist()]
         for i in order:
-            row = rows[i]
-            above = feet[i] if row is None else _top_left(boxes.xyxy_px[row])
-            self._label(image, self._texts(targets[i]), above, _colour(targets[i]), labels)
+            self._label(image, self._texts(targets[i]), about[i], _colour(targets[i]), labels)
 
     def _draw_trail(self, image: Image, target: Target, time_utc_s: float) -> None:
         if not self._settings.trail_s > 0.0 or target.track.never_moves:
@@ -329,28 +345,46 @@ class Overlay:
         far = f"{range_m:.0f} m"
         axis = float(ellipses(target.covariance_m2[None]).semi_major_m[0])
         if np.isfinite(axis):
-            far += f" (+-{axis:.1f})"
-        return [name, place, f"{far} {target.speed_mps * _KNOTS_PER_MPS:.1f} kn"]
+            far += f" +-{axis:.1f} m"
+        return [name, place, f"{far}, {target.speed_mps * _KNOTS_PER_MPS:.1f} kn"]
 
     def _label(
-        self, image: Image, texts: list[str], at_px: FloatArray, colour: Colour, labels: _Labels
+        self, image: Image, texts: list[str], about: FloatArray, colour: Colour, labels: _Labels
     ) -> None:
-        """Write lines above a point; only the first where there is no room for all."""
-        if not (self._settings.labels and np.isfinite(at_px).all()):
-            return
-        scale = 0.9 * self._scale
+        """Write lines above, below or beside a box; only the first where there is no more room.
+
+        Args:
+            image: Is drawn into.
+            texts: The lines.
+            about: (4,) corners of the box.
+            colour: Of the texts.
+            labels: That are there already.
+        """
         height, width = image.shape[:2]
-        if not (0.0 <= at_px[0] < width and 0.0 <= at_px[1] < height):
+        x1, y1, x2, y2 = about
+        inside = np.isfinite(about).all() and x1 < width and x2 > 0.0 and y1 < height and y2 > 0.0
+        if not (self._settings.labels and inside):
             return
-        step = text_size_px("Ag", scale)[1] + 3
+        scale, gap = 0.9 * self._scale, 4.0 * self._scale
+        step = text_size_px("Ag", scale)[1] + 2.0
         for lines in (texts, texts[:1]):
             wide = max(text_size_px(text, scale)[0] for text in lines)
-            left = float(np.clip(at_px[0], 2, max(width - wide - 2, 2)))
-            bottom = max(float(at_px[1]) - 5 * self._scale, step * len(lines) + 2.0)
-            if labels.place(left, bottom - step * len(lines), left + wide, bottom):
-                for i, text in enumerate(reversed(lines)):
-                    write(image, text, left, bottom - i * step, colour, scale)
-                return
+            tall = step * len(lines)
+            for left, top in (
+                (x1, y1 - gap - tall),
+                (x2 + 2.0 * gap, y1),
+                (x1 - gap - wide, y1),
+                (x1, y2 + gap),
+            ):
+                left = float(np.clip(left, 2.0, max(width - wide - 2.0, 2.0)))
+                top = float(np.clip(top, 2.0, max(height - tall - 2.0, 2.0)))
+                if labels.place(left - 2.0, top, left + wide + 2.0, top + tall):
+                    plate(image, left - 2.0, top, left + wide + 2.0, top + tall)
+                    side = np.array([[left - 3.0, top], [left - 3.0, top + tall]])
+                    line(image, side, colour, thickness=3, halo=False)
+                    for i, text in enumerate(lines, 1):
+                        write(image, text, left, top + i * step - 4.0, WHITE, scale)
+                    return
 
 
 def still_camera(model: Georeferencer) -> Camera:
@@ -376,5 +410,5 @@ def _colour(target: Target) -> Colour:
     return GREY if target.track.never_moves else colour_of(target.track.track_id)
 
 
-def _top_left(xyxy_px: FloatArray) -> FloatArray:
-    return np.asarray(xyxy_px[:2])
+def _around(point_px: FloatArray, reach_px: float) -> FloatArray:
+    return np.concatenate([point_px - reach_px, point_px + reach_px])

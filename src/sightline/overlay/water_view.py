@@ -19,7 +19,7 @@ _RING_POINTS = 721
 _LINE_POINTS = 201
 _RINGS_M = tuple(step * 10.0**power for power in range(1, 5) for step in (1.0, 2.0, 5.0))
 # Rings that are closer in the picture cannot be told apart.
-_LEAST_APART_PX = 14.0
+_LEAST_APART_PX = 18.0
 _GRID_LINES = 8
 
 
