@@ -100,7 +100,7 @@ def show(
     ] = False,
     horizon: Annotated[bool, typer.Option(help="Draw the horizon.")] = True,
     inset: Annotated[bool, typer.Option("--map/--no-map", help="Draw a map in the corner.")] = True,
-    labels: Annotated[bool, typer.Option(help="Write names and positions.")] = True,
+    labels: Annotated[bool, typer.Option(help="Write names, positions and the time.")] = True,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:

@@ -38,6 +38,7 @@ from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.platform import POSITION_SIGMA_M
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import Boxes, Fixes, FloatArray, Frame, IntArray, Track, ellipses, rfc3339
+from sightline.video.mask import GREY as GREY_MASK
 from sightline.video.mask import Mask
 from sightline.water import WaterLevels
 
@@ -57,7 +58,7 @@ class OverlaySettings:
         grid: Whether lines of equal east and of equal north are.
         horizon: Whether the horizon is.
         inset: Whether there is a map in the corner.
-        labels: Whether names and positions are written.
+        labels: Whether names, positions and the time are written.
         fixes_sigma_m: How far off the log is, a standard deviation along either axis; None: as the
             model knows it.
         clock_offset_s: How far the times of frames are ahead of those of tracks and log.
@@ -169,7 +170,7 @@ class Overlay:
         self._look(frame, time_utc_s)
         if self._found.mask is not None:
             self._found.mask.check_size((image.shape[1], image.shape[0]), "the video")
-            image[self._found.mask.hidden] = 0
+            image[self._found.mask.hidden] = GREY_MASK
         self._draw_layer(image)
         labels = _Labels()
         if self._map is not None:
@@ -179,10 +180,11 @@ class Overlay:
         self._draw_log(image, time_utc_s, labels)
         if self._map is not None:
             self._map.put_on(image)
-        stamp = rfc3339(time_utc_s).replace("T", " ").replace("Z", " UTC")
-        wide, tall = text_size_px(stamp, 1.1 * self._scale)
-        plate(image, 6, 6, 14 + wide, 12 + tall)
-        write(image, stamp, 10, 4 + tall, WHITE, 1.1 * self._scale)
+        if self._settings.labels:
+            stamp = rfc3339(time_utc_s).replace("T", " ").replace("Z", " UTC")
+            wide, tall = text_size_px(stamp, 1.1 * self._scale)
+            plate(image, 6, 6, 14 + wide, 12 + tall)
+            write(image, stamp, 10, 4 + tall, WHITE, 1.1 * self._scale)
         return image
 
     def _inset(self) -> InsetMap | None:
@@ -288,7 +290,7 @@ class Overlay:
         rows, free = box_of_each(feet, boxes, numbers, self._scale)
         for xyxy_px in boxes.xyxy_px[free & (boxes.confidence >= _LEAST_CONFIDENCE)]:
             line(image, box_outline(xyxy_px), GREY)
-        thick = max(round(1.6 * self._scale), 1)
+        thick = max(round(1.6 * self._scale), 2)
         for target, foot, row in zip(targets, feet, rows, strict=True):
             paint = _colour(target)
             self._draw_trail(image, target, time_utc_s)

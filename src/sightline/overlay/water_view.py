@@ -116,9 +116,12 @@ class WaterView:
         return lines
 
     def edge_bearings_rad(self) -> tuple[float, float]:
-        """Bearings of the left and the right edge of the picture, clockwise from north."""
+        """Bearings of the left and the right edge of what is seen, clockwise from north."""
         width, height = self.camera.image_size_px
-        rays = self.camera.rays([[0.0, 0.5 * height], [width, 0.5 * height]])
+        columns = np.linspace(0.0, width, _LINE_POINTS)
+        rays = self.camera.rays(np.stack([columns, np.full_like(columns, 0.5 * height)], axis=1))
+        # Beyond the fold of a lens there is nothing.
+        rays = rays[np.isfinite(rays).all(axis=1)][[0, -1]]
         if self.rotation_rad.any():
             rays = Rotation.from_rotvec(self.rotation_rad).inv().apply(rays)
         east_north = rays @ self.camera.rotation

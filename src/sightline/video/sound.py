@@ -11,6 +11,10 @@ import av
 from sightline.tally import Tally
 
 
+# What players expect in an mp4 file; its format can hold more, which hardly any plays.
+_KEPT = ("aac", "mp3", "ac3", "eac3", "opus", "alac")
+
+
 class Sound:
     """The first sound of a video file, from its first picture on.
 
@@ -51,10 +55,10 @@ class Sound:
             if not self._input.streams.audio:
                 return
             own = self._input.streams.audio[0]
-            if own.codec_context.name not in output.supported_codecs:
+            codec = own.codec_context.codec.canonical_name
+            if codec not in _KEPT:
                 self._tally.note(
-                    f"its sound ({own.codec_context.name}) is left out: the format of the new "
-                    "file cannot hold it"
+                    f"its sound ({codec}) is left out, since an mp4 file holds {', '.join(_KEPT)}"
                 )
                 return
             pictures = self._input.streams.video[0]
@@ -71,7 +75,12 @@ class Sound:
         """Write what is heard before a picture; its time is after the first."""
         while self._next is not None and self._next[0] <= seconds:
             assert self._output is not None, "there is a packet for it"
-            self._output.mux(self._next[1])
+            try:
+                self._output.mux(self._next[1])
+            except av.FFmpegError as error:
+                self._tally.note(f"its sound ends after {self._next[0]:.1f} s ({error})")
+                self._next = None
+                return
             self._next = next(self._packets, None)
 
     def _from(
