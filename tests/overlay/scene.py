@@ -48,9 +48,7 @@ def model(**changes: object) -> Georeferencer:
 
 def pixel(east_m: float, north_m: float) -> np.ndarray:
     """Of a place on the water, by similar triangles."""
-    return np.array(
-        [320.0 + FOCAL_PX * east_m / north_m, 180.0 + FOCAL_PX * HEIGHT_M / north_m]
-    )
+    return np.array([320.0 + FOCAL_PX * east_m / north_m, 180.0 + FOCAL_PX * HEIGHT_M / north_m])
 
 
 def track(

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene import SEA, SIGMA_M, SIZE_PX, START_S, box_at, model, pixel, sea, track
 
+from scene import SEA, SIGMA_M, SIZE_PX, START_S, box_at, model, pixel, sea, track
 from sightline.errors import InputError
 from sightline.overlay import Found, Overlay, OverlaySettings
 from sightline.overlay.style import WHITE, colour_of, drawable

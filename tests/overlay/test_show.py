@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import av
 import cv2
 import numpy as np
 import pytest
-from scene import SEA, SIZE_PX, START_S, model, sea, track
 
+from scene import SEA, SIZE_PX, START_S, model, sea, track
 from sightline import video
 from sightline.clock import FrameClock
 from sightline.errors import BrokenOffError, InputError, StoppedError
@@ -130,11 +131,11 @@ def test_a_picture_is_of_the_frame_that_is_named(tmp_path: Path) -> None:
     source = film(tmp_path / "in.mp4", range(0, 5000, 500))
     footage = Footage(str(source), start_utc_s=START_S)
     bare = OverlaySettings(trail_s=0.0, horizon=False, inset=False, labels=False)
+    # Without an ellipse there is the dot alone.
+    one = replace(track(), covariance_m2=np.full((11, 2, 2), np.nan))
 
     def column(at: int | float) -> float:
-        show_picture(
-            *(footage, model(), Found([track()]), tmp_path / "p.png"), at=at, settings=bare
-        )
+        show_picture(*(footage, model(), Found([one]), tmp_path / "p.png"), at=at, settings=bare)
         image = cv2.imread(str(tmp_path / "p.png"))
         assert image is not None
         assert image.shape == (SIZE_PX[1], SIZE_PX[0], 3)
@@ -215,4 +216,3 @@ def test_an_odd_number_of_columns_is_made_even(tmp_path: Path) -> None:
     small = model(image_size_px=(63, 51))
     show_video(Footage(str(folder), clock), small, Found(), tmp_path / "out.mp4")
     assert video.video_info(tmp_path / "out.mp4").image_size_px == (64, 52)
-

@@ -121,7 +121,7 @@ def test_places_are_where_the_simulated_camera_sees_them() -> None:
 def test_the_edges_of_the_picture_are_seen_at_their_bearings() -> None:
     left, right = WaterView.of(camera(70.0)).edge_bearings_rad()
     half = np.arctan(320.0 / FOCAL_PX)
-    np.testing.assert_allclose([left, right], np.radians(70.0) + [-half, half])
+    np.testing.assert_allclose([left, right], np.radians(70.0) + np.array([-half, half]))
 
 
 def test_the_edges_of_a_lens_that_folds_are_where_it_does() -> None:

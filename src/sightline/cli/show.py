@@ -111,7 +111,17 @@ def show(
     kind = _kind(output, at)
     water = parse_water_level(water_level)
     table = water if isinstance(water, Path) else None
-    inputs = [source, model, tracks, boxes, fixes, clock, table, mask, detector]
+    inputs: list[Path | str | None] = [
+        source,
+        model,
+        tracks,
+        boxes,
+        fixes,
+        clock,
+        table,
+        mask,
+        detector,
+    ]
     keep_apart([output, json], inputs)
     keep_others([(output, kind), (json, "result")], overwrite=overwrite)
     moment = _moment(at)
@@ -157,7 +167,7 @@ def show(
                 settings=TrackSettings(clock_offset_s=clock_offset_s),
                 progress=tell,
                 stop=stop,
-                water_levels=levels,
+                water=levels,
                 mask=masked,
             )
             drawn = seen if drawn is None else drawn

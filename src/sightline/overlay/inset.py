@@ -83,7 +83,7 @@ class InsetMap:
 
     def to_picture_px(self, east_north_m: FloatArray) -> FloatArray:
         """Pixels in the picture at which the map shows places, (N, 2)."""
-        return self.to_map_px(east_north_m) + np.array([self._left, self._top])
+        return np.asarray(self.to_map_px(east_north_m) + np.array([self._left, self._top]))
 
     def begin(self) -> None:
         """Take off what was drawn of the frame before."""

@@ -25,12 +25,14 @@ from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.overlay.picture import Found, Overlay, OverlaySettings
 from sightline.overlay.style import Image
 from sightline.pipeline.sources import is_stream, is_table
-from sightline.pipeline.track import SourceOptions, TrackSettings, iter_tracks
+from sightline.pipeline.track import TrackSettings, iter_tracks
 from sightline.progress import Progress
 from sightline.tally import Tally
 from sightline.types import Boxes, Frame, Track, rfc3339
+from sightline.video.mask import Mask
 from sightline.video.reader import frame_count
 from sightline.video.sound import Sound
+from sightline.water import WaterLevels
 
 MARK = "sightline show"
 """The comment of the files that are written, by which they are known again."""
@@ -136,7 +138,8 @@ def tracks_of(
     settings: TrackSettings | None = None,
     progress: Progress | None = None,
     stop: threading.Event | None = None,
-    **options: object,
+    water: WaterLevels | None = None,
+    mask: Mask | None = None,
 ) -> tuple[list[Track], Boxes]:
     """Tracks of everything in a video, and all boxes that a detector found in it.
 
@@ -149,18 +152,25 @@ def tracks_of(
         settings: How boxes become tracks.
         progress: Told how far it is.
         stop: Breaks it off when it is set.
-        options: ``water_levels`` and ``mask``; see `SourceOptions`.
+        water: How high the water stands, where the model knows of that.
+        mask: Where nothing is looked for.
 
     Raises:
         InputError: See `sightline.track`.
         StoppedError: ``stop`` was set.
     """
     kept = _Kept(detector)
-    given = SourceOptions(
-        detector=kept, clock=footage.clock, start_utc_s=footage.start_utc_s, **options
-    )  # type: ignore[typeddict-item]
     found = iter_tracks(
-        footage.source, model, settings=settings, progress=progress, stop=stop, **given
+        footage.source,
+        model,
+        settings=settings,
+        progress=progress,
+        stop=stop,
+        detector=kept,
+        clock=footage.clock,
+        start_utc_s=footage.start_utc_s,
+        water_levels=water,
+        mask=mask,
     )
     tracks: list[Track] = []
     # Reading it again to draw breaks off as well, and tells it.

@@ -130,7 +130,7 @@ class WaterView:
 
     def _around(self, radius_m: float, bearings: FloatArray) -> FloatArray:
         offset = radius_m * np.stack([np.sin(bearings), np.cos(bearings)], axis=1)
-        return offset + np.array([self.camera.east_m, self.camera.north_m])
+        return np.asarray(offset + np.array([self.camera.east_m, self.camera.north_m]))
 
 
 def ellipse_outline(east_north_m: ArrayLike, covariance_m2: ArrayLike) -> FloatArray:

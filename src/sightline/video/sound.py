@@ -10,7 +10,6 @@ import av
 
 from sightline.tally import Tally
 
-
 # What players expect in an mp4 file; its format can hold more, which hardly any plays.
 _KEPT = ("aac", "mp3", "ac3", "eac3", "opus", "alac")
 
@@ -32,8 +31,8 @@ class Sound:
         self._path, self._tally = os.fspath(path), tally
         self._input: av.container.InputContainer | None = None
         self._output: av.container.OutputContainer | None = None
-        self._packets: Iterator[tuple[float, av.Packet]] = iter(())
-        self._next: tuple[float, av.Packet] | None = None
+        self._packets: Iterator[tuple[float, av.Packet[av.AudioStream]]] = iter(())
+        self._next: tuple[float, av.Packet[av.AudioStream]] | None = None
         self.kept = False
 
     def __enter__(self) -> Sound:
@@ -85,7 +84,7 @@ class Sound:
 
     def _from(
         self, own: av.AudioStream, copy: av.AudioStream, first_s: float
-    ) -> Iterator[tuple[float, av.Packet]]:
+    ) -> Iterator[tuple[float, av.Packet[av.AudioStream]]]:
         assert self._input is not None, "it has the stream"
         try:
             for packet in self._input.demux(own):
