@@ -17,8 +17,9 @@ from scene import SEA, SIZE_PX, START_S, model, sea, track
 from sightline import video
 from sightline.clock import FrameClock
 from sightline.errors import BrokenOffError, InputError, StoppedError
-from sightline.overlay import Footage, Found, OverlaySettings, show_picture, show_video
+from sightline.overlay import Found, OverlaySettings
 from sightline.overlay.style import colour_of
+from sightline.pipeline.show import Footage, show_picture, show_video
 from sightline.tally import Tally
 from sightline.types import Frame
 

@@ -132,9 +132,10 @@ def show(
         raise InputError(f"{source}: there is no such video or folder")
     attempts = Attempts()
     with signals.stoppable() as stop, progress() as tell:
-        from sightline import formats, overlay
+        from sightline import formats
         from sightline.georeferencing.georeferencer import load_model
-        from sightline.overlay.picture import still_camera
+        from sightline.overlay import Found, OverlaySettings, still_camera
+        from sightline.pipeline.show import Footage, show_picture, show_video, tracks_of
         from sightline.pipeline.sources import make_detector
         from sightline.pipeline.track import TrackSettings
         from sightline.tally import Tally
@@ -143,9 +144,7 @@ def show(
 
         fitted = load_model(model)
         still_camera(fitted)
-        footage = overlay.Footage(
-            source, formats.read_clock(clock) if clock is not None else None, begin
-        )
+        footage = Footage(source, formats.read_clock(clock) if clock is not None else None, begin)
         levels = _levels(water)
         fitted.check_water(levels is not None)
         masked = read_mask(mask) if mask is not None else None
@@ -160,7 +159,7 @@ def show(
         if tracks is not None:
             made = list(formats.read_tracks(tracks, plane=fitted.plane))
         else:
-            made, seen = overlay.tracks_of(
+            made, seen = tracks_of(
                 footage,
                 fitted,
                 make_detector(detector, fitted),
@@ -171,8 +170,8 @@ def show(
                 mask=masked,
             )
             drawn = seen if drawn is None else drawn
-        found = overlay.Found(made, drawn, log, levels, masked)
-        settings = overlay.OverlaySettings(
+        found = Found(made, drawn, log, levels, masked)
+        settings = OverlaySettings(
             trail_s=trail_s,
             rings=rings,
             grid=grid,
@@ -184,7 +183,7 @@ def show(
         )
         tally = Tally(source)
         if moment is None:
-            shown = overlay.show_video(
+            shown = show_video(
                 *(footage, fitted, found, output),
                 settings=settings,
                 progress=tell,
@@ -192,7 +191,7 @@ def show(
                 tally=tally,
             )
         else:
-            shown = overlay.show_picture(
+            shown = show_picture(
                 footage, fitted, found, output, at=moment, settings=settings, stop=stop
             )
     for note in tally.notes:

@@ -34,7 +34,6 @@ from sightline.overlay.water_view import (
     ellipse_outline,
     grid_spacing_m,
 )
-from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.platform import POSITION_SIGMA_M
 from sightline.reference_trajectory import ReferenceTrajectory
 from sightline.types import Boxes, Fixes, FloatArray, Frame, IntArray, Track, ellipses, rfc3339
@@ -137,7 +136,6 @@ class Overlay:
         self._scale = scale_of(model.image_size_px[1])
         self._targets = Targets(found.tracks)
         self._boxes = None if found.boxes is None else BoxBook(found.boxes)
-        self._monitor = CameraMotionMonitor(model)
         self._log = None
         if found.fixes is not None:
             self._log = ReferenceTrajectory.of(found.fixes, model.plane)
@@ -159,15 +157,17 @@ class Overlay:
         """The map in the corner; None where there is none."""
         return self._map
 
-    def drawn(self, frame: Frame) -> Image:
+    def drawn(self, frame: Frame, rotation_rad: FloatArray | None = None) -> Image:
         """A copy of a frame with all that was found at its time.
 
         Args:
             frame: With its time, by the camera's clock.
+            rotation_rad: (3,) rotation vector by which the camera's scene has turned since the
+                model's; NaN, or None, where that is not known.
         """
         time_utc_s = frame.time_utc_s - self._settings.clock_offset_s
         image = frame.image_bgr.copy()
-        self._look(frame, time_utc_s)
+        self._look(time_utc_s, rotation_rad)
         if self._found.mask is not None:
             self._found.mask.check_size((image.shape[1], image.shape[0]), "the video")
             image[self._found.mask.hidden] = GREY_MASK
@@ -199,12 +199,9 @@ class Overlay:
         made = InsetMap(self._view, self._model.image_size_px, all_places(places), self._scale)
         return made if made.fits else None
 
-    def _look(self, frame: Frame, time_utc_s: float) -> None:
+    def _look(self, time_utc_s: float, rotation_rad: FloatArray | None) -> None:
         """Take in how the camera lies and how high the water stands."""
-        self._monitor.observe(frame)
-        rotation = np.zeros(3)
-        if self._monitor.history.rotation is not None:
-            rotation = self._monitor.history.rotation.at(np.array([frame.time_utc_s]))[0][0]
+        rotation = np.zeros(3) if rotation_rad is None else rotation_rad
         above_m = 0.0
         if self._found.water is not None:
             level_m = self._found.water.at(np.array([time_utc_s]))

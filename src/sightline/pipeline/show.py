@@ -22,8 +22,9 @@ from sightline.detection.detector import BatchDetector
 from sightline.detection.run import usable
 from sightline.errors import BrokenOffError, InputError
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.overlay.picture import Found, Overlay, OverlaySettings
+from sightline.overlay import Found, Overlay, OverlaySettings
 from sightline.overlay.style import Image
+from sightline.pipeline.camera_state import CameraMotionMonitor
 from sightline.pipeline.sources import is_stream, is_table
 from sightline.pipeline.track import TrackSettings, iter_tracks
 from sightline.progress import Progress
@@ -241,10 +242,11 @@ def show_video(
     count = stopping.call(partial(frame_count, footage.source), stop)
     pace = _Pace(count, progress)
     broken: list[BrokenOffError] = []
-    taken = _until_broken(footage, stop, broken)
+    draw = _Drawing(overlay, model)
+    taken = _fitting(_until_broken(footage, stop, broken), model, footage.source)
     drawn = (
-        (shown_s, replace(frame, image_bgr=_even(overlay.drawn(frame))))
-        for shown_s, frame in _fitting(taken, model, footage.source)
+        (shown_s, replace(frame, image_bgr=_even(draw(frame))))
+        for shown_s, frame in draw.watched(taken)
     )
     width, height = model.image_size_px
     # In a thread of its own, beside the encoder.
@@ -289,11 +291,12 @@ def show_picture(
     settings = settings or OverlaySettings()
     overlay = Overlay(model, found, settings)
     broken: list[BrokenOffError] = []
-    taken = _fitting(_until_broken(footage, stop, broken), model, footage.source)
+    draw = _Drawing(overlay, model)
+    taken = draw.watched(_fitting(_until_broken(footage, stop, broken), model, footage.source))
     offset_s = settings.clock_offset_s
     chosen = _frame_at((frame for _, frame in taken), at, offset_s, footage.source)
     stopping.check(stop)
-    done, coded = cv2.imencode(".png", overlay.drawn(chosen))
+    done, coded = cv2.imencode(".png", draw(chosen))
     if not done:
         raise InputError(f"{output}: the picture cannot be written as PNG")
     with atomic_path(output) as temporary:
@@ -373,6 +376,27 @@ def _even(image: Image) -> Image:
     if not (height % 2 or width % 2):
         return image
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+class _Drawing:
+    """Draws into frames as the camera lies in them."""
+
+    def __init__(self, overlay: Overlay, model: Georeferencer) -> None:
+        self._overlay = overlay
+        self._monitor = CameraMotionMonitor(model)
+
+    def watched(self, taken: Iterable[tuple[float, Frame]]) -> Iterator[tuple[float, Frame]]:
+        """Pass frames on, each once it has been looked at for how the camera lies."""
+        for shown_s, frame in taken:
+            self._monitor.observe(frame)
+            yield shown_s, frame
+
+    def __call__(self, frame: Frame) -> Image:
+        """A frame with what was found drawn into it."""
+        turned = self._monitor.history.rotation
+        if turned is None:
+            return self._overlay.drawn(frame)
+        return self._overlay.drawn(frame, turned.at(np.array([frame.time_utc_s]))[0][0])
 
 
 @dataclass
