@@ -30,7 +30,10 @@ MISSING_SCENE = "error: nothing.toml: there is no such scene file"
 MISSING_MODEL = (
     "error: nothing.safetensors: there is no such model file; `sightline fit` writes one"
 )
-COMMANDS = ("demo", "check", "run", "fit", "compare", "track", "evaluate", "detect", "simulate")
+COMMANDS = (
+    *("demo", "check", "run", "fit", "compare", "track", "evaluate", "count", "detect"),
+    "simulate",
+)
 DETECTOR_COMMANDS = ("label", "train", "evaluate", "compare", "export")
 
 
@@ -89,6 +92,7 @@ def test_version_and_help_load_nothing_heavy(lines: list[str], tmp_path: Path) -
         ("detector evaluate nothing.toml", MISSING_SCENE),
         ("detector label nothing.toml --model m -o out", MISSING_SCENE),
         ("track a.mp4 --model nothing.safetensors -o t.csv", MISSING_MODEL),
+        ("count nothing.csv --lines l.json", "error: nothing.csv: there is no such file"),
         ("detect a.mp4 -o b.csv", "error: a.mp4: there is no such video or folder"),
         ("fit nothing.toml", "error: Missing option '--output' / '-o'."),
     ],
