@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.stats import norm
 
 from sightline.area import Area, Line, Polygon
@@ -123,6 +124,8 @@ def test_past_the_end_of_a_line_nothing_is_crossed() -> None:
         track = straight((-200.0, 500.0 + off_m), (4.0, 0.0))
         report = counted(track)
         assert total(report, "left to right", "expected") == pytest.approx(chance, abs=1e-4)
+        spread = np.sqrt(chance * (1.0 - chance))
+        assert total(report, "left to right", "sigma") == pytest.approx(spread, abs=1e-3)
         assert total(report, "left to right") == (off_m < 0.0)
 
 
@@ -148,6 +151,14 @@ def test_variances_of_vessels_add_up_and_classes_are_apart() -> None:
     assert boats["sigma"] == pytest.approx(1.5, abs=1e-4)
     (other,) = [row for row in report.lines if row["class"] == "unlabelled" and row["count"]]
     assert other["direction"] == "right to left"
+
+
+def test_the_mean_speed_of_several_is_surer_than_that_of_one() -> None:
+    tracks = [straight((-200.0, 9.0 * i), (3.0 + i, 0.0), number=i) for i in range(3)]
+    (row,) = [row for row in counted(*tracks).lines if row["count"]]
+    assert row["speed_mean_mps"] == pytest.approx(4.0)
+    assert row["speed_std_mps"] == pytest.approx(1.0)
+    assert row["speed_se_mps"] == pytest.approx(0.4 / np.sqrt(3.0), abs=1e-6)
 
 
 def test_a_track_without_a_covariance_counts_without_an_uncertainty() -> None:
@@ -214,6 +225,14 @@ def test_a_target_on_the_edge_of_a_zone_is_half_in_it() -> None:
     assert row["occupancy_sigma"] == pytest.approx(0.5, abs=1e-4)
 
 
+def test_time_inside_is_the_integral_of_the_probability_between_far_points() -> None:
+    # In one step from a standard deviation before the western edge to three behind it.
+    track = straight((-2.0, 0.0), (0.08, 0.0), 100.0, step_s=100.0)
+    (row,) = count([track], zones={"basin": SQUARE}).zones
+    mean = quad(norm.cdf, -1.0, 3.0)[0] / 4.0
+    assert row["occupancy_mean"] == pytest.approx(mean, abs=1e-4)
+
+
 def test_most_targets_at_once_and_moored_ones_apart() -> None:
     tracks = [
         straight((-100.0, 10.0 * i), (2.5, 0.0), 150.0, start_s=begin, number=i, label=label)
@@ -229,6 +248,20 @@ def test_most_targets_at_once_and_moored_ones_apart() -> None:
     assert rows["a"]["occupancy_moored"] == pytest.approx(1.0, abs=1e-6)
     assert rows["b"]["occupancy_moored"] == 0.0
     assert rows["a"]["entries_count"] == 3
+
+
+def test_a_zone_without_covariances_is_counted_without_uncertainties() -> None:
+    track = straight((-100.5, 0.0), (2.5, 0.0), 150.0, covariance=None)
+    alone = straight((50.0, 0.0), (1.0, 0.0), 0.0, number=2, covariance=None)
+    report = count([track, alone], zones={"basin": SQUARE}, settings=CountSettings(900.0, 500.0))
+    (row,) = report.zones
+    assert (row["entries_count"], row["stays"]) == (1, 1)
+    assert row["dwell_mean_s"] == pytest.approx(40.0, abs=0.01)
+    unknown = ("entries_sigma", "exits_sigma", "dwell_se_s", "occupancy_sigma")
+    assert [row[name] for name in unknown] == [None] * 4
+    (near,) = report.near_misses
+    assert near["distance_m"] == pytest.approx(150.5, abs=1e-3)
+    assert (near["distance_sigma_m"], near["probability"]) == (None, None)
 
 
 def test_a_hole_is_no_part_of_a_zone() -> None:
@@ -257,7 +290,7 @@ def test_journeys_lead_from_the_first_line_to_the_last() -> None:
 
 def test_the_closest_point_of_approach_is_that_of_two_straight_ways() -> None:
     # At t they are (-150 + 3 t, 40) and (60, -100 + 2 t): 210 - 3 t and 2 t - 140 apart.
-    first = straight((-150.0, 40.0), (3.0, 0.0), covariance=(4.0, 9.0), number=1)
+    first = straight((-150.0, 40.0), (3.0, 0.0), covariance=(4.0, 9.0), step_s=20.0)
     second = straight((60.0, -96.0), (0.0, 2.0), covariance=(1.0, 16.0), number=2, step_s=7.0)
     report = count([first, second], settings=CountSettings(closest_m=20.0))
     (row,) = report.near_misses
