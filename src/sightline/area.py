@@ -1,4 +1,4 @@
-"""Areas on the earth: polygons in latitude and longitude, with holes, also across 180 degrees."""
+"""Areas and lines on the earth, in latitude and longitude, also across 180 degrees."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ MOST_CORNERS = 200_000
 """Of all polygons together; what a coast has more can be left out of it unseen."""
 
 _TURN_DEG = 360.0
+_MOST_LINE_CORNERS = 10_000
 _CHUNK = 2_000_000
 
 
@@ -95,18 +96,82 @@ class Area:
         return inside
 
 
-def _ring(given: FloatArray, what: str) -> FloatArray:
-    """(N, 2) a closed ring whose longitudes do not jump, without its last corner."""
-    ring = np.asarray(given, dtype=np.float64)
-    if ring.ndim != 2 or ring.shape[1] != 2 or not np.isfinite(ring).all():
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A line of straight pieces that neither crosses nor touches itself.
+
+    Attributes:
+        corners: (N, 2) longitude and latitude, degrees, from its first corner to its last. Where
+            two neighbours are more than 180 degrees apart, it goes the other way around the earth.
+
+    Raises:
+        InputError: A coordinate is none of the earth's, there are fewer than two corners, the line
+            is closed, or it crosses or touches itself.
+    """
+
+    corners: FloatArray
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.corners, dtype=np.float64)
+        _check_corners(given, "it")
+        if len(given) > _MOST_LINE_CORNERS:
+            raise InputError(f"it has more than {_MOST_LINE_CORNERS} corners; simplify it")
+        moved = np.r_[True, (np.diff(given, axis=0) != 0.0).any(axis=1)]
+        corners = given[moved]
+        if len(corners) < 2:
+            raise InputError("it has fewer than two corners that differ")
+        step = np.diff(corners[:, 0])
+        turns = np.where(np.abs(step) > 0.5 * _TURN_DEG, np.sign(step) * _TURN_DEG, 0.0)
+        corners = np.column_stack([corners[:, 0] - np.r_[0.0, np.cumsum(turns)], corners[:, 1]])
+        if (corners[0] == corners[-1]).all():
+            raise InputError("it is closed; draw a zone, or leave it open")
+        at = _touching(corners)
+        if at is not None:
+            longitude = (corners[at, 0] + 180.0) % _TURN_DEG - 180.0
+            raise InputError(
+                f"it crosses or touches itself after the corner at longitude {longitude:.6f}, "
+                f"latitude {corners[at, 1]:.6f}; draw it without that"
+            )
+        object.__setattr__(self, "corners", corners)
+
+
+def _touching(corners: FloatArray) -> int | None:
+    """Number of the first piece that meets another one elsewhere than at their common corner."""
+    first, second = corners[:-1], corners[1:]
+    ahead = second - first
+    back = (ahead[:-1] * ahead[1:]).sum(axis=1) < 0.0
+    back &= ahead[:-1, 0] * ahead[1:, 1] == ahead[:-1, 1] * ahead[1:, 0]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    for i in range(len(first)):
+        if i < len(back) and back[i]:
+            return i
+        rest = slice(i + 2, None)
+        near = (low[rest] <= high[i]).all(axis=1) & (high[rest] >= low[i]).all(axis=1)
+        a, b, c, d = first[i], second[i], first[rest][near], second[rest][near]
+        meets = np.sign(_side(a, b, c)) * np.sign(_side(a, b, d)) <= 0.0
+        meets &= np.sign(_side(c, d, a)) * np.sign(_side(c, d, b)) <= 0.0
+        if meets.any():
+            return i
+    return None
+
+
+def _check_corners(given: FloatArray, what: str) -> None:
+    """Raise InputError for corners that are no places on the earth."""
+    if given.ndim != 2 or given.shape[1] != 2 or not np.isfinite(given).all():
         raise InputError(f"{what} has a corner that is no longitude and latitude")
-    outside = (np.abs(ring) > [180.0, 90.0]).any(axis=1)
+    outside = (np.abs(given) > [180.0, 90.0]).any(axis=1)
     if outside.any():
-        longitude, latitude = ring[np.argmax(outside)]
+        longitude, latitude = given[np.argmax(outside)]
         raise InputError(
             f"{what} has a corner at longitude {longitude:g}, latitude {latitude:g}, which is not "
             "on the earth; give degrees, WGS 84, longitude first"
         )
+
+
+def _ring(given: FloatArray, what: str) -> FloatArray:
+    """(N, 2) a closed ring whose longitudes do not jump, without its last corner."""
+    ring = np.asarray(given, dtype=np.float64)
+    _check_corners(ring, what)
     if len(ring) > 1 and (ring[0] == ring[-1]).all():
         ring = ring[:-1]
     if len(np.unique(ring, axis=0)) < 3:

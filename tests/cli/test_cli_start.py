@@ -31,7 +31,8 @@ MISSING_MODEL = (
     "error: nothing.safetensors: there is no such model file; `sightline fit` writes one"
 )
 COMMANDS = (
-    *("demo", "check", "run", "fit", "compare", "track", "show", "evaluate", "detect", "simulate"),
+    *("demo", "check", "run", "fit", "compare", "track", "show", "evaluate", "count", "detect"),
+    "simulate",
 )
 DETECTOR_COMMANDS = ("label", "train", "evaluate", "compare", "export")
 
@@ -92,6 +93,7 @@ def test_version_and_help_load_nothing_heavy(lines: list[str], tmp_path: Path) -
         ("detector label nothing.toml --model m -o out", MISSING_SCENE),
         ("track a.mp4 --model nothing.safetensors -o t.csv", MISSING_MODEL),
         ("show a.mp4 --model nothing.safetensors -o s.mp4", MISSING_MODEL),
+        ("count nothing.csv --lines l.json", "error: nothing.csv: there is no such file"),
         ("detect a.mp4 -o b.csv", "error: a.mp4: there is no such video or folder"),
         ("fit nothing.toml", "error: Missing option '--output' / '-o'."),
     ],

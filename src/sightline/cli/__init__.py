@@ -15,6 +15,7 @@ from sightline import __version__, signals
 from sightline.cli import common
 from sightline.cli.check import check
 from sightline.cli.compare import compare
+from sightline.cli.count import count
 from sightline.cli.demo import demo
 from sightline.cli.detect import detect
 from sightline.cli.detector import detector
@@ -47,9 +48,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (
-    *(demo, check, run, fit, compare, track, show, live, export, evaluate, detect, simulate),
-):
+COMMANDS = (
+    *(demo, check, run, fit, compare, track, show, live, export, evaluate, count, detect, simulate),
+)
+for command in COMMANDS:
     app.command(cls=TrackCommand if command in (track, export) else None)(command)
 app.add_typer(detector)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,6 +12,8 @@ from sightline.errors import InputError, unknown_name
 
 OptionValue = bool | int | float | str
 
+_UNITS_S = {"": 1.0, "s": 1.0, "min": 60.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
+_LONGEST_S = 366.0 * 86400.0
 _SMALLEST_PX, _LARGEST_PX = 32, 8192
 
 
@@ -120,6 +123,26 @@ def parse_time(option: str, text: str | None) -> float | None:
             f"{option} {text!r} is no time; expected for example 2020-09-30T19:36:24Z"
         ) from error
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+def parse_duration_s(option: str, text: str) -> float:
+    """Parse a time such as 30s, 15min, 1h or 1d to seconds; a number alone is seconds.
+
+    Args:
+        option: Its name, for the message.
+        text: What was given.
+
+    Raises:
+        InputError: It is something else, shorter than a second, or longer than a year.
+    """
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
+    unit = _UNITS_S.get(found[2]) if found else None
+    if found is None or unit is None:
+        raise InputError(f"{option} {text!r}: is no time; expected for example 30s, 15min or 1h")
+    duration_s = float(found[1]) * unit
+    if not 1.0 <= duration_s <= _LONGEST_S:
+        raise InputError(f"{option} {text!r}: give a time between a second and a year")
+    return duration_s
 
 
 def parse_architecture_options(texts: Iterable[str]) -> dict[str, OptionValue]:

@@ -25,6 +25,7 @@ _TRACK_COLUMNS = {
     *("semi_major_m", "semi_minor_m", "ellipse_bearing_deg"),
 }
 _TRACK_PROPERTIES = (b'"track_id"', b'"semi_major_m"', b'"ellipse_bearing_deg"')
+_COUNT_COLUMNS = ("entries_expected", "occupancy_moored", "other_track_id", "distance_sigma_m")
 _BOX_HEADER = "frame,x1,y1,x2,y2,confidence,annotator,label,time_utc"
 # Numbers as they are written here, always with a point.
 _BOX_ROW = re.compile(r"\d+,-?\d+(,-?\d+\.\d{1,2}){4},\d\.\d{1,4},-1,-1,-1")
@@ -43,6 +44,7 @@ _RESULTS = (
     {"detector", "export_difference"},
     {"detectors", "split", "settings"},
     {"labels", "recordings"},
+    {"every_s", "journeys", "near_misses"},
 )
 _SCENE_MARK = "# A synthetic harbour"
 _TRUTH = {"camera", "boats", "settings"}
@@ -167,6 +169,13 @@ def _is_boxes(path: Path) -> bool:
     return all(map(_BOX_ROW.fullmatch, rows or [rest]))
 
 
+def _is_counts(path: Path) -> bool:
+    head, tail = _ends(path)
+    if path.suffix.lower() == ".csv":
+        return {name.strip() for name in _first_line(head).split(",")} >= set(_COUNT_COLUMNS)
+    return head.startswith(b"PAR1") and all(name.encode() in tail for name in _COUNT_COLUMNS)
+
+
 def _is_model(path: Path) -> bool:
     with path.open("rb") as file:
         length = int.from_bytes(file.read(_LENGTH_BYTES), "little")
@@ -212,6 +221,7 @@ def _is_detector(path: Path) -> bool:
 KINDS = {
     "tracks": "a file of tracks",
     "boxes": "a table of boxes",
+    "counts": "a table of counts",
     "model": "a model",
     "result": "a result as JSON",
     "page": "a report",
@@ -224,6 +234,7 @@ KINDS = {
 _KNOWN: dict[str, Callable[[Path], bool]] = {
     "tracks": _is_tracks,
     "boxes": _is_boxes,
+    "counts": _is_counts,
     "model": _is_model,
     "result": _is_result,
     "page": _is_page,

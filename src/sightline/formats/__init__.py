@@ -28,7 +28,7 @@ from sightline.formats.ais import (
     read_ais_feed,
     read_ais_vessel,
 )
-from sightline.formats.area_geojson import read_area
+from sightline.formats.area_geojson import read_area, read_lines, read_zones
 from sightline.formats.boxes_csv import csv_box_writer, iter_boxes_csv, write_boxes_csv
 from sightline.formats.clock_csv import read_clock
 from sightline.formats.control_points import read_control_points
@@ -70,8 +70,10 @@ __all__ = [
     "read_fixes",
     "read_headings",
     "read_horizons_csv",
+    "read_lines",
     "read_tracks",
     "read_water_levels",
+    "read_zones",
     "track_table",
     "track_writer",
     "write_boxes",
