@@ -50,6 +50,7 @@ class Fitted:
     image_size_px: tuple[int, int] = SIZE_PX
     horizon_px: None = None
     view: ReferenceView | None = None
+    static_places: None = None
     plane: LocalPlane = field(default_factory=lambda: LocalPlane(54.3, 10.1))
 
     def check_water(self, given: bool, _where: str = "") -> None:

@@ -21,7 +21,7 @@ _STEADY = 0.5
 _STALE = 0.4
 
 
-def by_turns(fixes: Source) -> IntArray:
+def by_turns(fixes: Source, *, most_m: float = float("inf")) -> IntArray:
     """(N,) int64, which of several receivers that take turns each fix is of; zero if of one.
 
     Two whose clocks differ by more than an interval go to and fro in time. Two whose clocks are
@@ -31,6 +31,7 @@ def by_turns(fixes: Source) -> IntArray:
 
     Args:
         fixes: N of them, of one name, in the order of the log.
+        most_m: Further apart they are not of one vessel, and not told apart.
     """
     one = np.zeros(len(fixes), dtype=np.int64)
     if len(fixes) < 2 * _FEWEST:
@@ -47,7 +48,8 @@ def by_turns(fixes: Source) -> IntArray:
         return one
     dated = Source(own_s, fixes.latitude_deg, fixes.longitude_deg)
     # By the times that stand there: what is written twice is of no other receiver.
-    if float(np.median(apart_m(fixes[~second], fixes[second]))) <= FIT_M:
+    apart = float(np.median(apart_m(fixes[~second], fixes[second])))
+    if not FIT_M < apart < most_m:
         return one
     first, other = dated[~second].sorted_by_time(), dated[second].sorted_by_time()
     return turn if offset_is_certain(first, other) else one

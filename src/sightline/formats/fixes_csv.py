@@ -21,6 +21,8 @@ from sightline.types import BoolArray, Fixes, FloatArray, IntArray
 _logger = logging.getLogger(__name__)
 
 _REQUIRED = ("time_utc", "latitude_deg", "longitude_deg")
+# Receivers further apart than ships are long are of two vessels, and a table names none of them.
+_SHIP_M = 500.0
 
 
 def read_fixes_csv(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fixes:
@@ -131,7 +133,7 @@ def _of_one_receiver(fixes: Source, lines: IntArray, tally: Tally, row: str) -> 
         _log_rows.on_the_earth(fixes.latitude_deg, fixes.longitude_deg)
         & ((fixes.latitude_deg != 0.0) | (fixes.longitude_deg != 0.0))
     )
-    turn = by_turns(fixes[able])
+    turn = by_turns(fixes[able], most_m=_SHIP_M)
     if not turn.any():
         return kept
     counts = np.bincount(turn)
