@@ -19,9 +19,9 @@ from sightline import formats
 from sightline.formats import read_tracks
 from sightline.formats.labels import Labels, write_labels
 from sightline.geodesy import LocalPlane
-from sightline.moment import Moment, TargetState
 from sightline.live.state import SmoothedPart
 from sightline.live.store import Store
+from sightline.moment import Moment, TargetState
 from sightline.pipeline.fit import fit
 from sightline.scene import Scene
 from sightline.simulation.simulate import SimulationSettings, simulate

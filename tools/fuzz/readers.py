@@ -33,8 +33,8 @@ from sightline.geodesy import LocalPlane
 from sightline.georeferencing.georeferencer import load_model
 from sightline.live.ais import AisMatcher
 from sightline.live.config import read_live_config
-from sightline.moment import Moment
 from sightline.live.store import stored_tracks
+from sightline.moment import Moment
 from sightline.scene import Scene
 from sightline.tally import Tally
 from sightline.tracks import Tracks
