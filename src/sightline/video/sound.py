@@ -8,7 +8,9 @@ from types import TracebackType
 
 import av
 
+from sightline.errors import InputError
 from sightline.tally import Tally
+from sightline.video.containers import open_container
 
 # What players expect in an mp4 file; its format can hold more, which hardly any plays.
 _KEPT = ("aac", "mp3", "ac3", "eac3", "opus", "alac")
@@ -50,7 +52,7 @@ class Sound:
     def begin(self, output: av.container.OutputContainer) -> None:
         """Add the sound to a file to which nothing was written yet, where there is one."""
         try:
-            self._input = av.open(f"file:{self._path}")
+            self._input = open_container(self._path)
             if not self._input.streams.audio:
                 return
             own = self._input.streams.audio[0]
@@ -63,7 +65,7 @@ class Sound:
             pictures = self._input.streams.video[0]
             first_s = float((pictures.start_time or 0) * (pictures.time_base or 0))
             copy = output.add_stream_from_template(own)
-        except (av.FFmpegError, ValueError, IndexError) as error:
+        except (InputError, av.FFmpegError, ValueError, IndexError) as error:
             self._tally.note(f"its sound is left out ({error})")
             return
         self._output, self.kept = output, True
