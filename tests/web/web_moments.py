@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 import math
-import time
-from collections.abc import Callable
 
 import numpy as np
 
+import moments
+from moments import START, target
 from sightline.geodesy import LocalPlane
 from sightline.moment import Moment, TargetState
 
-# 1 June 2024, 10:00:00 UTC by `date -u -d 2024-06-01T10:00:00Z +%s`.
-START = 1_717_236_000.0
 PLANE = LocalPlane(54.3233, 10.1394)
 HOSTILE = '</script><img src="/owned" onerror="document.title=\'owned\'">&lt;b&gt;\u202e'
 SIZE_PX = (1280, 720)
-
-
-def target(number: int = 17, **values) -> TargetState:
-    return TargetState(
-        **{
-            "id": number,
-            "latitude_deg": 54.3233,
-            "longitude_deg": 10.1394,
-            "covariance_m2": np.array([[4.0, 1.0], [1.0, 9.0]]),
-            "speed_mps": 3.1,
-            "course_deg": 210.5,
-            "state": "measured",
-            **values,
-        }
-    )
 
 
 def moment(time_s: float = 0.0, *targets: TargetState, camera: str = "dock") -> Moment:
     return Moment(START + time_s, "sender", camera, targets or (target(),), SIZE_PX)
 
 
-def until(true: Callable[[], bool], within_s: float = 20.0) -> None:
-    """Wait for what another thread does; the bound only ends a test that has failed."""
-    deadline = time.monotonic() + within_s
-    while not true():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
-
+# A browser takes longer than a socket.
+until = functools.partial(moments.until, within_s=20.0)
 
 NAMES = ("ANNA KATHARINA", "LOTSE 4", None, None, "FÄHRE SCHWENTINE", None, "GORCH FOCK", None)
 

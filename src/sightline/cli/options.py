@@ -199,3 +199,13 @@ def tiles_in_turn(detector: Detector) -> list[str]:
     if detector.tiles_per_frame is None:
         return []
     return [f"looked at {detector.tiles_per_frame} of {detector.tile_count} tiles of each frame"]
+
+
+WaterLevelOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="METRES|FILE",
+        help="How high the water stands above the datum of the model's scene; or a table, "
+        "time_utc,water_level_m.",
+    ),
+]

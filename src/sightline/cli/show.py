@@ -18,6 +18,7 @@ from sightline.cli.options import (
     MaskOption,
     OverwriteOption,
     StartOption,
+    WaterLevelOption,
 )
 from sightline.cli.outputs import Attempts, keep_apart
 from sightline.cli.parsing import parse_time, parse_water_level
@@ -78,14 +79,7 @@ def show(
             help="How far the camera's clock is ahead of the true time; it is taken off.",
         ),
     ] = 0.0,
-    water_level: Annotated[
-        str | None,
-        typer.Option(
-            metavar="METRES|FILE",
-            help="How high the water stands above the datum of the model's scene; or a table, "
-            "time_utc,water_level_m.",
-        ),
-    ] = None,
+    water_level: WaterLevelOption = None,
     mask: MaskOption = None,
     detector: DetectorOption = DEFAULT_DETECTOR,
     trail_s: Annotated[

@@ -28,6 +28,7 @@ from sightline.cli.options import (
     ThresholdOption,
     TrajectoryOption,
     ViewsOption,
+    WaterLevelOption,
     detector_options,
     tiles_in_turn,
 )
@@ -131,14 +132,7 @@ def track(
             metavar="FILE", help="For a table of boxes: frame,left_y_px,right_y_px of the horizon."
         ),
     ] = None,
-    water_level: Annotated[
-        str | None,
-        typer.Option(
-            metavar="METRES|FILE",
-            help="How high the water stands above the datum of the model's scene; or a table, "
-            "time_utc,water_level_m.",
-        ),
-    ] = None,
+    water_level: WaterLevelOption = None,
     area: AreaOption = None,
     mask: MaskOption = None,
     detector: DetectorOption = DEFAULT_DETECTOR,

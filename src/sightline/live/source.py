@@ -11,6 +11,7 @@ import random
 import threading
 import time
 import zlib
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -190,7 +191,7 @@ Listener = Callable[[SourceEvent], None]
 _Make = Callable[[], NDArray[np.uint8]]
 
 
-class _Reader:
+class _Reader(ABC):
     """What sources have in common: threads, the newest frame, counts, and events."""
 
     def __init__(self, name: str, settings: SourceSettings, listener: Listener | None) -> None:
@@ -242,8 +243,9 @@ class _Reader:
             if thread is not threading.current_thread():
                 thread.join(max(0.0, until_s - time.monotonic()))
 
+    @abstractmethod
     def _read(self) -> None:
-        raise NotImplementedError
+        """Put frames in the place of the newest until there are no more."""
 
     def _begin(self, target: Callable[[], None], name: str) -> None:
         thread = threading.Thread(target=target, daemon=True, name=name)

@@ -9,6 +9,7 @@ import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import ClassVar
+from urllib.parse import urlsplit
 
 import cv2
 
@@ -221,8 +222,6 @@ def local_address(text: str, scheme: str) -> tuple[str, int]:
     Raises:
         InputError: It begins otherwise, or has no host and port.
     """
-    from urllib.parse import urlsplit
-
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port

@@ -12,8 +12,10 @@ finds no more that is no vessel to the general one than it does at its place.
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -235,15 +237,12 @@ def crop(image_rgb: Image, rng: np.random.Generator) -> Image:
     scale = max(float(np.exp(rng.uniform(low, high))), width / columns, height / rows)
     how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
     sized = cv2.resize(image_rgb, None, fx=scale, fy=scale, interpolation=how).astype(np.uint8)
-    x, y = (int(rng.integers(0, max(free, 0) + 1)) for free in _free(sized, width, height))
+    spare = (sized.shape[1] - width, sized.shape[0] - height)
+    x, y = (int(rng.integers(0, max(free, 0) + 1)) for free in spare)
     part = sized[y : y + height, x : x + width]
     out = np.full((height, width, 3), _PAD, np.uint8)
     out[: part.shape[0], : part.shape[1]] = part
     return out
-
-
-def _free(image: Image, width: int, height: int) -> tuple[int, int]:
-    return image.shape[1] - width, image.shape[0] - height
 
 
 def fit_gate(
@@ -564,9 +563,6 @@ def join(
 
 def _exported(onnx: Any, branch: _General, classes: int) -> ModelProto:
     """The general branch as a graph of its own."""
-    import io
-    import warnings
-
     content = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
         # Tracing warns of every shape that becomes a constant; the check finds those that must not.
