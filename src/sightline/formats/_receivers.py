@@ -19,6 +19,7 @@ _OFTEN_S = 1.05
 _FEWEST = 3
 _CERTAIN = 4.0
 _EARTH_M = 6_371_008.8
+_DEGREE_M = np.radians(1.0) * _EARTH_M
 _USUAL_S = 1.0
 # So long before and after a course is taken from, of what goes as fast, most of the time.
 _COURSE_S = 3.0
@@ -124,6 +125,22 @@ def offset_is_certain(first: Source, second: Source) -> bool:
     return False
 
 
+def _off_and_way(line: Source, fixes: Source, lag_s: float) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) metres east and north of fixes from a line, and degrees of latitude of its way there.
+
+    Args:
+        line: In the order of its times.
+        fixes: N of them.
+        lag_s: From so long before each to so long after it the way goes.
+    """
+    north_deg, east_deg = line.at(fixes.time_utc_s)
+    across = np.cos(np.radians(north_deg))
+    east_m = ((fixes.longitude_deg - east_deg + 180.0) % 360.0 - 180.0) * _DEGREE_M * across
+    off_m = np.stack([east_m, (fixes.latitude_deg - north_deg) * _DEGREE_M], axis=1)
+    before, after = (line.at(fixes.time_utc_s + apart_s) for apart_s in (-lag_s, lag_s))
+    return off_m, np.stack([(after[1] - before[1]) * across, after[0] - before[0]], axis=1)
+
+
 def _off_line_m(line: Source, fixes: Source) -> tuple[FloatArray, FloatArray]:
     """(M, 2) metres by which fixes miss the line of others: east and north, and across and ahead.
 
@@ -132,13 +149,7 @@ def _off_line_m(line: Source, fixes: Source) -> tuple[FloatArray, FloatArray]:
         fixes: Those beyond its ends do not count.
     """
     fixes = fixes[line.covers(fixes.time_utc_s)]
-    north_deg, east_deg = line.at(fixes.time_utc_s)
-    metres = np.radians(1.0) * _EARTH_M
-    across = np.cos(np.radians(north_deg))
-    east_m = ((fixes.longitude_deg - east_deg + 180.0) % 360.0 - 180.0) * metres * across
-    off_m = np.stack([east_m, (fixes.latitude_deg - north_deg) * metres], axis=1)
-    before, after = (line.at(fixes.time_utc_s + lag_s) for lag_s in (-_USUAL_S, _USUAL_S))
-    way = np.stack([(after[1] - before[1]) * across, after[0] - before[0]], axis=1)
+    off_m, way = _off_and_way(line, fixes, _USUAL_S)
     length = np.hypot(*way.T)
     moves = length > 0.0
     way = way[moves] / length[moves, None]
@@ -188,13 +199,8 @@ def off_board_m(line: Source, fixes: Source) -> FloatArray:
         line: In the order of its times.
         fixes: N of them.
     """
-    north_deg, east_deg = line.at(fixes.time_utc_s)
-    metres = np.radians(1.0) * _EARTH_M
-    across = np.cos(np.radians(north_deg))
-    east_m = ((fixes.longitude_deg - east_deg + 180.0) % 360.0 - 180.0) * metres * across
-    off_m = np.stack([east_m, (fixes.latitude_deg - north_deg) * metres], axis=1)
-    before, after = (line.at(fixes.time_utc_s + lag_s) for lag_s in (-_COURSE_S, _COURSE_S))
-    way_m = np.stack([(after[1] - before[1]) * across, after[0] - before[0]], axis=1) * metres
+    off_m, way = _off_and_way(line, fixes, _COURSE_S)
+    way_m = way * _DEGREE_M
     length_m = np.hypot(*way_m.T)
     moves = length_m > 2.0 * _COURSE_S * _UNDER_WAY_MPS
     if moves.mean() < _MOSTLY:
