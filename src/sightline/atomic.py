@@ -62,7 +62,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     final = Path(os.path.realpath(path))
     work = _hidden(final)
     try:
-        with _made_folders(final.parent), _own_folder(work, path) as folder:
+        with _made_folders(final.parent), own_folder(work, path) as folder:
             temporary = folder / final.name
             temporary.touch()
             yield temporary
@@ -103,7 +103,7 @@ def atomic_folder(
     goal = Path(os.path.realpath(path))
     work = _beside_or_in(goal)
     try:
-        with _made_folders(goal.parent), _own_folder(work, path) as folder:
+        with _made_folders(goal.parent), own_folder(work, path) as folder:
             made = folder / "files"
             made.mkdir()
             try:
@@ -208,7 +208,7 @@ def _made_folders(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _own_folder(folder: Path, goal: str | os.PathLike[str]) -> Iterator[Path]:
+def own_folder(folder: Path, goal: str | os.PathLike[str]) -> Iterator[Path]:
     """A folder that nobody else has while the block lasts: empty before, removed after.
 
     Args:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tomllib
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import Annotated, TypeVar, get_args
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, ValidationError
+from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
 from sightline.errors import InputError
@@ -19,6 +20,21 @@ class Table(BaseModel):
     """A table of keys and values in which no other key may stand."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def _moment(value: object) -> object:
+    return datetime.fromisoformat(value) if isinstance(value, str) else value
+
+
+UtcTime = Annotated[datetime, BeforeValidator(_moment)]
+"""A time of TOML's own, or as text in ISO 8601."""
+
+
+def posix_s(moment: datetime | None) -> float | None:
+    """POSIX seconds of a time, which is UTC where it has no zone."""
+    if moment is None:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 TableT = TypeVar("TableT", bound=Table)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -14,7 +13,7 @@ from pydantic import (
     model_validator,
 )
 
-from sightline.configuration import Table, checked, read_toml
+from sightline.configuration import Table, UtcTime, checked, read_toml
 from sightline.errors import InputError, no_scene_file
 
 # Whole metres are stated, and of either side.
@@ -137,7 +136,7 @@ class RecordingTable(Table):
     name: Annotated[str, Field(min_length=1)]
     video: str | None = None
     frames: str | None = None
-    start_utc: datetime | None = None
+    start_utc: UtcTime | None = None
     clock: str | None = None
     boxes: str | None = None
     detections: str | None = None
@@ -159,13 +158,6 @@ class RecordingTable(Table):
             raise ValueError(
                 f"{value!r} holds / or \\ or what cannot be printed, and files are named after it"
             )
-        return value
-
-    @field_validator("start_utc", mode="before")
-    @classmethod
-    def _moment(cls, value: object) -> object:
-        if isinstance(value, str):
-            return datetime.fromisoformat(value)
         return value
 
     @field_validator("clock_offset_s")
