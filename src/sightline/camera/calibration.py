@@ -246,6 +246,54 @@ def fit_camera(
     return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 
+def expected_fit(
+    sightings: PointCorrespondences,
+    camera: Camera,
+    *,
+    n_sources: int,
+    prior: CameraPrior | None = None,
+    noise: PixelNoise | None = None,
+    settings: CameraFitSettings | None = None,
+) -> CameraFit:
+    """The fit that correspondences would lead to if it ended at the camera that made them.
+
+    The model, its priors, which correspondences count and how, and the covariance are those of
+    `fit_camera`; only the search is left out.
+
+    Args:
+        sightings: At least three, not all in one place, as the camera sees them. Where the noise
+            is to be estimated, with noise.
+        camera: It.
+        n_sources: How many sources of boxes there are, which end where the hulls do.
+        prior: Beliefs about the camera; absent: those of an ordinary camera.
+        noise: Noise of a foot, taken as known; absent: estimated from the residuals.
+        settings: Its starts and its seed are of no use here.
+
+    Raises:
+        FitError: Too few points, or all in one place, or they are not seen.
+    """
+    _check_enough(sightings)
+    prior, settings = prior or CameraPrior(), settings or CameraFitSettings()
+    model = MixedModel(
+        sightings[thinned(sightings.time_s, sightings.log)],
+        camera.image_size_px,
+        n_sources,
+        prior,
+        settings.position_known,
+        None,
+        settings.heaving,
+    )
+    model.expect_clocks(settings.clocks)
+    vector = np.zeros(model.size + 1)
+    vector[CAMERA] = camera.to_vector()
+    model.expect_hull(vector)
+    vector[TARGET] = model.mean[TARGET]
+    best, estimated = model.at_camera(vector, noise)
+    if best is None:
+        raise FitError(_BEHIND)
+    return _Summary(model, np.zeros(vector.size)).at(best, estimated, [vector], 1)
+
+
 class _Summary:
     """The fit of a model at a maximum of its posterior."""
 
