@@ -524,23 +524,6 @@ class MixedModel:
                 break
         return self.refine(start, noise), noise
 
-    def at_camera(
-        self, vector: FloatArray, noise: PixelNoise | None
-    ) -> tuple[LocalMaximum | None, PixelNoise]:
-        """The maximum, taken to be at some parameters, and the noise; None behind the targets.
-
-        Args:
-            vector: Parameters that made the pixels.
-            noise: Where it is known; else it is estimated from the residuals, as after a search.
-        """
-        if noise is None:
-            found, noise = self.alternate(vector, PixelNoise())
-            if found is None:
-                return None, noise
-        self.expect_hull(vector)
-        nothing = np.zeros((len(self.sightings), 2))
-        return LocalMaximum(vector, nothing, np.ones_like(nothing), nothing, self.blocks), noise
-
     def left_out_errors(self, found: LocalMaximum, noise: PixelNoise) -> FloatArray | None:
         """(K,) summed squared errors of places that were left out, square metres, of each part.
 

@@ -38,6 +38,7 @@ from sightline.planning import (
 from sightline.planning.drive import SOURCE
 from sightline.planning.learning import LearnSettings, without_doubt
 from sightline.planning.mounting import seen_ahead_m
+from sightline.planning.water_map import width_reach_m
 from sightline.progress import Progress
 from sightline.threads import on_one_thread
 from sightline.types import FloatArray
@@ -125,8 +126,7 @@ class Plan:
         nearest, farthest = seen_ahead_m(self.camera)
         out: dict[float, float | None] = {}
         for boat in self.settings.boats:
-            slant = self.camera.focal_px * boat.length_m / self.settings.least_px
-            range_m = math.sqrt(max(slant**2 - self.camera.height_m**2, 0.0))
+            range_m = width_reach_m(self.camera, boat.length_m, self.settings.least_px)
             out[boat.length_m] = range_m if nearest <= range_m <= farthest else None
         return out
 
@@ -228,11 +228,12 @@ def plan(
     )
     made = _plan(
         learned.model,
-        without_doubt(learned.model),
+        without_doubt(learned.model, camera),
         plane,
         settings,
         drive,
         learned.statements,
+        camera=camera,
     )
     return replace(
         made,
@@ -307,8 +308,9 @@ def _plan(
     drive: str,
     said: Sequence[str],
     source: str = SOURCE,
+    camera: Camera | None = None,
 ) -> Plan:
-    boats, camera = settings.boats, model.camera
+    boats, camera = settings.boats, camera or model.camera
     maps: dict[float, WaterMap] = {}
     rows: dict[float, tuple[Row, ...]] = {}
     reach_m = settings.reach_m
@@ -316,6 +318,7 @@ def _plan(
         maps[level] = water_map(
             model,
             boats,
+            camera=camera,
             source=source,
             least_px=settings.least_px,
             above_m=level,
@@ -323,7 +326,9 @@ def _plan(
         )
         # Maps of one camera reach equally far, to be laid over one another.
         reach_m = maps[level].reach_m
-        rows[level] = rows_along(model, known, boats, source=source, above_m=level, reach_m=reach_m)
+        rows[level] = rows_along(
+            model, known, boats, camera=camera, source=source, above_m=level, reach_m=reach_m
+        )
     bent = curvature(camera)
     return Plan(
         camera=camera,

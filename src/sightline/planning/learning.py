@@ -121,9 +121,16 @@ def learn(
             raise FitError(f"drive {drive.name}: {error}") from error
     assert pairs is not None, "noise is drawn at least once"
     chosen = _middle(models)
-    parameters = fitted_parameters(chosen.fit_, of_target=True)
+    # What it is about is the planned camera, and not one that noise has drawn off it.
+    vector = chosen.fit_.vector.copy()
+    vector[CAMERA] = camera.to_vector()
+    parameters = fitted_parameters(replace(chosen.fit_, vector=vector), of_target=True)
     told = [PARAMETERS[slot] for slot in stated.parameters]
     determined = np.stack([model.fit_.determined() for model in models])
+    mostly = dict(zip(PARAMETERS, (determined.mean(axis=0) > 0.5).tolist(), strict=True))
+    parameters = tuple(
+        replace(one, determined=mostly.get(one.name, one.determined)) for one in parameters
+    )
     unsure = determined.any(axis=0) & ~determined.all(axis=0)
     return Learning(
         model=chosen,
@@ -201,13 +208,20 @@ def known_camera(camera: Camera, hull: Hull, box_px: float = 1.0) -> CameraRegre
     )
 
 
-def without_doubt(model: CameraRegressor) -> CameraRegressor:
-    """The model were its camera known exactly, with the same noise of boxes."""
+def without_doubt(model: CameraRegressor, camera: Camera | None = None) -> CameraRegressor:
+    """The model were its camera known exactly, with the same noise of boxes.
+
+    Args:
+        model: It.
+        camera: The true one. Absent: the model's.
+    """
     fit = model.fit_
+    vector = fit.vector[: fit.layout.clocks.start].copy()
+    vector[CAMERA] = (camera or model.camera).to_vector()
     known = model.with_fit(
         replace(
             fit,
-            vector=fit.vector[: fit.layout.clocks.start],
+            vector=vector,
             covariance=np.zeros((fit.layout.clocks.start,) * 2),
             prior_sigma=fit.prior_sigma[: fit.layout.clocks.start],
             clock_groups=np.empty(0, dtype=np.int64),

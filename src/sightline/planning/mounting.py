@@ -86,6 +86,7 @@ class Mounting:
         pitch_deg: Of the optical axis below the horizontal. None: so that the horizon lies a third
             of the picture below its upper edge.
         roll_deg: Positive where the right end of the horizon lies lower.
+        distortion: First and second radial term of the lens; a negative first is a barrel.
 
     Raises:
         InputError: A value is none that a camera can have.
@@ -97,6 +98,7 @@ class Mounting:
     heading_deg: float
     pitch_deg: float | None = None
     roll_deg: float = 0.0
+    distortion: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.height_m < math.inf:
@@ -106,11 +108,29 @@ class Mounting:
                 f"a field of view of {self.field_of_view_deg:g}° is none of a picture on a plane; "
                 "give one between 0 and 180°"
             )
+        k1, k2 = self.distortion
+        square = self._edge_radius**2
+        # Up to the edge the distorted radius has to grow.
+        grows = 1.0 + 3.0 * k1 * square + 5.0 * k2 * square**2
+        if not (math.isfinite(k1 + k2) and grows > 0.0):
+            raise InputError(
+                f"a distortion of k1 = {k1:g}, k2 = {k2:g} folds the picture over itself before its "
+                "edges; give one that is nearer to 0"
+            )
 
     @property
     def focal_px(self) -> float:
-        """Focal length of a lens without distortion that has the field of view."""
-        return 0.5 * self.image_size_px[0] / math.tan(0.5 * math.radians(self.field_of_view_deg))
+        """Focal length of the lens that has the field of view."""
+        half_px, radius = 0.5 * self.image_size_px[0], self._edge_radius
+        square = radius**2
+        return half_px / (
+            radius * (1.0 + square * self.distortion[0] + square**2 * self.distortion[1])
+        )
+
+    @property
+    def _edge_radius(self) -> float:
+        """Normalised undistorted radius of the left and the right edge."""
+        return math.tan(0.5 * math.radians(self.field_of_view_deg))
 
     @property
     def camera(self) -> Camera:
@@ -126,8 +146,8 @@ class Mounting:
             roll_deg=self.roll_deg,
             heading_deg=self.heading_deg,
             focal_px=self.focal_px,
-            k1=0.0,
-            k2=0.0,
+            k1=self.distortion[0],
+            k2=self.distortion[1],
             east_m=0.0,
             north_m=0.0,
             image_size_px=self.image_size_px,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,12 +28,15 @@ LEVELS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0)
 
 PROBABILITY = 0.95
 
-_BEARINGS, _RANGES = 121, 241
+_BEARINGS, _RANGES = 161, 401
 _FARTHEST_M = 30_000.0
 # A map reaches so far beyond what is to be seen on it.
 _MARGIN = 1.05
 _STEPS = (1.0, 2.0, 5.0)
 _FEWEST_POINTS = 2
+_LEAST_SPAN = 4.0
+_BISECTIONS = 12
+_MOST_ASIDE = math.radians(50.0)
 _MATTERS_SHARE = 0.05
 
 
@@ -143,6 +147,7 @@ def axes_at(
     east_north_m: FloatArray,
     hull: Hull,
     *,
+    camera: Camera | None = None,
     source: str = "",
     above_m: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
@@ -152,13 +157,14 @@ def axes_at(
         model: That places them.
         east_north_m: (N, 2) metres in the plane.
         hull: Of the boats.
+        camera: The true one, that sees them. Absent: the model's.
         source: Who makes their boxes.
         above_m: How high the water stands.
 
     Returns:
         NaN where they are out of the picture, or have no position.
     """
-    boxes = boxes_at(model.camera, east_north_m, hull, above_m)
+    boxes = boxes_at(camera or model.camera, east_north_m, hull, above_m)
     known = np.isfinite(boxes).all(axis=1)
     major, minor = np.full((2, len(boxes)), np.nan)
     if known.any():
@@ -180,10 +186,17 @@ def width_px(camera: Camera, east_north_m: FloatArray, length_m: float) -> Float
     return np.asarray(np.hypot(*(right - left).T))
 
 
+def width_reach_m(camera: Camera, length_m: float, least_px: float) -> float:
+    """Range along the heading beyond which a boat broadside is narrower than so many pixels."""
+    slant_m = camera.focal_px * length_m / least_px
+    return math.sqrt(max(slant_m**2 - camera.height_m**2, 0.0))
+
+
 def water_map(
     model: CameraRegressor,
     boats: Sequence[Hull],
     *,
+    camera: Camera | None = None,
     source: str = "",
     least_px: float = 8.0,
     above_m: float = 0.0,
@@ -194,28 +207,32 @@ def water_map(
     Args:
         model: That places boats.
         boats: Of interest; ellipses are those of the first.
+        camera: The true one, that sees them. Absent: the model's.
         source: Who makes their boxes.
         least_px: Width at which boats are just found.
         above_m: How high the water stands above the plane that the camera's height is over.
-        reach_m: How far the map reaches. Absent: to the last position and the last boat.
+        reach_m: How far the map reaches. Absent: as far as there are positions, and the largest
+            boat is just found.
 
     Raises:
         InputError: No water is in the picture, or none of it is known well enough for a position.
     """
-    camera = model.camera
+    camera = camera or model.camera
     left, right = horizontal_view(camera)
-    nearest, farthest = seen_ahead_m(camera, above_m)
+    nearest, _ = seen_ahead_m(camera, above_m)
     most = min(horizon_m(camera, above_m), _FARTHEST_M)
     off = np.linspace(left, right, _BEARINGS)
 
-    def axes(reach: float) -> tuple[FloatArray, FloatArray]:
+    def axes(where: FloatArray) -> FloatArray:
+        return axes_at(model, where, boats[0], camera=camera, source=source, above_m=above_m)[0]
+
+    def mapped(reach: float) -> tuple[FloatArray, FloatArray]:
         ranges = np.geomspace(min(nearest, 0.5 * reach), reach, _RANGES)
         places = around(camera, off[:, None], ranges[None, :])
-        major, _ = axes_at(model, places.reshape(-1, 2), boats[0], source=source, above_m=above_m)
-        return places, major.reshape(off.size, ranges.size)
+        return places, axes(places.reshape(-1, 2)).reshape(off.size, ranges.size)
 
     if reach_m is None:
-        places, axis_m = axes(most)
+        places, axis_m = mapped(most)
         apart = np.hypot(*(places - [camera.east_m, camera.north_m]).reshape(-1, 2).T)
         known = np.isfinite(axis_m.ravel())
         if not known.any():
@@ -223,16 +240,19 @@ def water_map(
                 "no place on the water is certain to half of its range; a higher camera, a longer "
                 "lens, or a drive that tells more would mend it"
             )
-        small = max(camera.focal_px * boat.length_m / least_px for boat in boats)
-        reach_m = min(_MARGIN * max(float(apart[known].max()), min(small, farthest)), most)
-    places, axis_m = axes(reach_m)
+        seen_m = max(width_reach_m(camera, boat.length_m, least_px) for boat in boats)
+        # To the sides of a picture boats look larger.
+        seen_m /= math.cos(min(max(abs(left), abs(right)), _MOST_ASIDE))
+        reach_m = min(_MARGIN * min(float(apart[known].max()), seen_m), most)
+        reach_m = max(reach_m, _LEAST_SPAN * nearest)
+    places, axis_m = mapped(reach_m)
     flat = places.reshape(-1, 2)
     pixel = camera.project(flat[:, 0], flat[:, 1], above_m)
     seen = in_picture(camera, pixel).reshape(axis_m.shape)
     east, north = places[..., 0], places[..., 1]
     contours = [
         *_lines("axis", east, north, axis_m, LEVELS_M, above_m),
-        *_limits(places, axis_m, seen, above_m),
+        *_limits(axes, places, axis_m, seen, above_m),
     ]
     for boat in boats:
         widths = np.where(seen.ravel(), width_px(camera, flat, boat.length_m), np.nan)
@@ -263,19 +283,35 @@ def _lines(
 
 
 def _limits(
-    places: FloatArray, axis_m: FloatArray, seen: BoolArray, above_m: float
+    axes: Callable[[FloatArray], FloatArray],
+    places: FloatArray,
+    axis_m: FloatArray,
+    seen: BoolArray,
+    above_m: float,
 ) -> list[Contour]:
-    """Where positions end though the water is still in the picture, stretch by stretch."""
+    """Where positions end though the water is still in the picture, stretch by stretch.
+
+    Args:
+        axes: Semi-major axes at places (N, 2), NaN where there is no position.
+        places: (B, R, 2) by bearings and ranges, metres.
+        axis_m: (B, R) the axes there.
+        seen: (B, R) whether they are in the picture.
+        above_m: How high the water stands.
+    """
     known = np.isfinite(axis_m)
-    last = np.where(known.any(axis=1), known.shape[1] - 1 - np.argmax(known[:, ::-1], axis=1), -1)
+    last = known.shape[1] - 1 - np.argmax(known[:, ::-1], axis=1)
     beyond = np.minimum(last + 1, known.shape[1] - 1)
     rows = np.arange(len(last))
-    ends = (last >= 0) & (last + 1 < known.shape[1]) & seen[rows, beyond]
-    parts = np.split(rows[ends], np.flatnonzero(np.diff(rows[ends]) > 1) + 1)
+    ends = known.any(axis=1) & (last < beyond) & seen[rows, beyond]
+    near, far = places[rows, last], places[rows, beyond]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (near + far)
+        inside = np.isfinite(axes(middle))[:, None]
+        near, far = np.where(inside, middle, near), np.where(inside, far, middle)
+    chosen = rows[ends]
+    parts = np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1)
     return [
-        Contour("limit", 0.0, above_m, places[part, last[part]])
-        for part in parts
-        if part.size >= _FEWEST_POINTS
+        Contour("limit", 0.0, above_m, near[part]) for part in parts if part.size >= _FEWEST_POINTS
     ]
 
 
@@ -284,6 +320,7 @@ def rows_along(
     known: CameraRegressor,
     boats: Sequence[Hull],
     *,
+    camera: Camera | None = None,
     source: str = "",
     above_m: float = 0.0,
     reach_m: float,
@@ -294,19 +331,20 @@ def rows_along(
         model: That places boats.
         known: The same, were its camera known exactly.
         boats: Of interest; ellipses are those of the first.
+        camera: The true one, that sees them. Absent: the model's.
         source: Who makes their boxes.
         above_m: How high the water stands.
         reach_m: Farthest range.
     """
-    camera = model.camera
+    camera = camera or model.camera
     nearest, farthest = seen_ahead_m(camera, above_m)
     steps = np.array([step * 10.0**power for power in range(6) for step in _STEPS])
     ranges = steps[(steps >= nearest) & (steps <= min(farthest, reach_m))]
     if not ranges.size:
         ranges = np.array([np.sqrt(nearest * min(farthest, max(reach_m, nearest)))])
     places = around(camera, 0.0, ranges)
-    major, minor = axes_at(model, places, boats[0], source=source, above_m=above_m)
-    alone, _ = axes_at(known, places, boats[0], source=source, above_m=above_m)
+    major, minor = axes_at(model, places, boats[0], camera=camera, source=source, above_m=above_m)
+    alone, _ = axes_at(known, places, boats[0], camera=camera, source=source, above_m=above_m)
     foot = camera.project(places[:, 0], places[:, 1], above_m)
     half_row = np.array([0.0, 0.5])
     nearer = camera.locate(foot + half_row, above_m)

@@ -20,16 +20,18 @@ from sightline.pipeline.plan import Plan
 from sightline.planning import Contour, Row, WaterMap
 from sightline.planning.water_map import LEVELS_M
 from sightline.reporting.page import _asset, _environment, _integrity
-from sightline.reporting.plots import TRUTH_COLOUR, _figure, _tidy, data_uri
+from sightline.reporting.plots import _figure, _tidy, data_uri
 from sightline.text import xml_text
 
 _INK = "#333333"
 _SIZE_COLOUR = "#0072b2"
+_DRIVE_COLOUR = "#00724f"
 _CMAP = "YlOrBr"
 _WIDTH_IN = 9.0
 _LEAST_IN, _MOST_IN = 4.5, 11.0
 _MARGIN = 0.05
-_ARROW_SHARE = 0.12
+_ARROW_SHARE = 0.08
+_LABEL_SHARE = 0.15
 _DASHES = ("-", "--", ":")
 
 
@@ -55,8 +57,9 @@ def plan_figure(plan: Plan) -> Figure:
     axes.set_aspect("equal")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    levels = [level for level in LEVELS_M if level >= 0.5 * np.nanmin(water.axis_m)]
-    norm = LogNorm(levels[0], LEVELS_M[-1])
+    least, most = float(np.nanmin(water.axis_m)), float(np.nanmax(water.axis_m))
+    levels = [level for level in LEVELS_M if 0.5 * least <= level <= 2.0 * most]
+    norm = LogNorm(levels[0], levels[-1])
     mesh = axes.pcolormesh(
         water.east_m, water.north_m, water.axis_m, norm=norm, cmap=_CMAP, shading="gouraud"
     )
@@ -73,7 +76,7 @@ def plan_figure(plan: Plan) -> Figure:
             if contour.kind == "axis":
                 axes.plot(*contour.east_north_m.T, dash, color=_INK, lw=0.8, alpha=0.7)
     if len(plan.places_m):
-        axes.plot(*plan.places_m.T, ".", color=TRUTH_COLOUR, ms=2.5, zorder=4)
+        axes.plot(*plan.places_m.T, ".", color=_DRIVE_COLOUR, ms=2.5, zorder=4)
     _draw_camera(axes, plan, float(max(high - low)))
     _tidy(axes)
     axes.set_xlabel("east, m")
@@ -115,6 +118,9 @@ def _draw_contour(axes: Axes, contour: Contour, dash: str) -> None:
     else:
         axes.plot(*points.T, ":", color="#777777", lw=1.5)
         return
+    # Labels of short lines would hide one another.
+    if np.ptp(points, axis=0).max() < _LABEL_SHARE * float(np.ptp(axes.get_xlim())):
+        return
     at = points[len(points) // 2]
     axes.annotate(
         label,
@@ -153,7 +159,7 @@ def _legend(plan: Plan) -> list[Line2D]:
     ]
     if len(plan.places_m):
         handles.append(
-            Line2D([], [], color=TRUTH_COLOUR, marker=".", ls="", label=f"drive: {_name(plan)}")
+            Line2D([], [], color=_DRIVE_COLOUR, marker=".", ls="", label=f"drive: {_name(plan)}")
         )
     for dash, level in zip(_DASHES[1:], list(plan.maps)[1:], strict=False):
         label = f"the same, water {level:+g} m"
