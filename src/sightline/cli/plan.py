@@ -60,6 +60,12 @@ def plan(
             "--roll", metavar="DEGREES", help="Positive: the right end of the horizon is lower."
         ),
     ] = 0.0,
+    distortion: Annotated[
+        str,
+        typer.Option(
+            metavar="K1,K2", help="Of the lens, as OpenCV has it; a barrel has a negative K1."
+        ),
+    ] = "0,0",
     model: Annotated[
         Path | None,
         typer.Option(
@@ -150,6 +156,7 @@ def plan(
     )
     size_px = parse_size_px("--size", size)
     levels = _tide(tide)
+    lens = parse_pair("--distortion", distortion, ",")
     planned = {
         "--height": height_m,
         "--field-of-view": field_of_view_deg,
@@ -157,7 +164,9 @@ def plan(
         "--heading": heading_deg,
     }
     if model is not None:
-        given = [name for name, value in {**planned, "--pitch": pitch_deg}.items() if value]
+        given = [
+            name for name, value in {**planned, "--pitch": pitch_deg}.items() if value is not None
+        ]
         if given or state:
             raise InputError(
                 f"{given[0] if given else '--state'}: the model {model} has a camera; give one or "
@@ -201,7 +210,7 @@ def plan(
             assert field_of_view_deg is not None
             assert heading_deg is not None
             mounting = _mounting(
-                (height_m, field_of_view_deg, heading_deg), size_px, pitch_deg, roll_deg
+                (height_m, field_of_view_deg, heading_deg), size_px, pitch_deg, roll_deg, lens
             )
             made = plan_camera(
                 mounting,
@@ -273,11 +282,12 @@ def _mounting(
     size_px: tuple[int, int],
     pitch_deg: float | None,
     roll_deg: float,
+    lens: tuple[float, float],
 ) -> Mounting:
     from sightline.planning import Mounting
 
     height_m, field_of_view_deg, heading_deg = told
-    return Mounting(height_m, field_of_view_deg, size_px, heading_deg, pitch_deg, roll_deg)
+    return Mounting(height_m, field_of_view_deg, size_px, heading_deg, pitch_deg, roll_deg, lens)
 
 
 def _check_positive(*options: tuple[str, float | None]) -> None:

@@ -114,8 +114,8 @@ class Mounting:
         grows = 1.0 + 3.0 * k1 * square + 5.0 * k2 * square**2
         if not (math.isfinite(k1 + k2) and grows > 0.0):
             raise InputError(
-                f"a distortion of k1 = {k1:g}, k2 = {k2:g} folds the picture over itself before its "
-                "edges; give one that is nearer to 0"
+                f"a distortion of k1 = {k1:g}, k2 = {k2:g} folds the picture over itself before "
+                "its edges; give one that is nearer to 0"
             )
 
     @property

@@ -211,8 +211,7 @@ def water_map(
         source: Who makes their boxes.
         least_px: Width at which boats are just found.
         above_m: How high the water stands above the plane that the camera's height is over.
-        reach_m: How far the map reaches. Absent: as far as there are positions, and the largest
-            boat is just found.
+        reach_m: How far the map reaches. Absent: to where the largest boat is just found.
 
     Raises:
         InputError: No water is in the picture, or none of it is known well enough for a position.
@@ -232,20 +231,16 @@ def water_map(
         return places, axes(places.reshape(-1, 2)).reshape(off.size, ranges.size)
 
     if reach_m is None:
-        places, axis_m = mapped(most)
-        apart = np.hypot(*(places - [camera.east_m, camera.north_m]).reshape(-1, 2).T)
-        known = np.isfinite(axis_m.ravel())
-        if not known.any():
-            raise InputError(
-                "no place on the water is certain to half of its range; a higher camera, a longer "
-                "lens, or a drive that tells more would mend it"
-            )
         seen_m = max(width_reach_m(camera, boat.length_m, least_px) for boat in boats)
         # To the sides of a picture boats look larger.
-        seen_m /= math.cos(min(max(abs(left), abs(right)), _MOST_ASIDE))
-        reach_m = min(_MARGIN * min(float(apart[known].max()), seen_m), most)
-        reach_m = max(reach_m, _LEAST_SPAN * nearest)
+        seen_m /= math.cos(min(max(abs(left), abs(right)), _MOST_ASIDE)) ** 2
+        reach_m = min(max(_MARGIN * seen_m, _LEAST_SPAN * nearest), most)
     places, axis_m = mapped(reach_m)
+    if not np.isfinite(axis_m).any():
+        raise InputError(
+            "no place on the water is certain to half of its range; a higher camera, a longer "
+            "lens, or a drive that tells more would mend it"
+        )
     flat = places.reshape(-1, 2)
     pixel = camera.project(flat[:, 0], flat[:, 1], above_m)
     seen = in_picture(camera, pixel).reshape(axis_m.shape)
