@@ -409,8 +409,8 @@ def _length(metres: float) -> str:
 
 def _row(row: Row, lengths: Sequence[float]) -> dict[str, object]:
     own = _finite(asdict(row))
-    widths = own.pop("widths_px")
-    own["widths_px"] = dict(zip((f"{length:g}" for length in lengths), widths, strict=True))
+    names = [f"{length:g}" for length in lengths]
+    own["widths_px"] = dict(zip(names, row.widths_px, strict=True))
     return own
 
 

@@ -1,7 +1,7 @@
 """Planning of a camera: what it would know of places on the water, before it is mounted."""
 
-from sightline.planning.drive import PATTERNS, Drive, logged_drive, pattern_drive
-from sightline.planning.learning import DriveNoise, Learning, known_camera, learn
+from sightline.planning.drive import PATTERNS, Drive, DriveNoise, logged_drive, pattern_drive
+from sightline.planning.learning import Learning, known_camera, learn
 from sightline.planning.mounting import Hull, Mounting, horizontal_view
 from sightline.planning.water_map import (
     Contour,

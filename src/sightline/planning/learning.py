@@ -22,7 +22,7 @@ from sightline.georeferencing.fit_report import Parameter, fitted_parameters, on
 from sightline.georeferencing.observations import CameraObservations
 from sightline.planning.drive import SOURCE, Drive, DriveNoise
 from sightline.planning.mounting import Hull
-from sightline.types import FloatArray
+from sightline.types import BoolArray, FloatArray
 
 DRAWS = 3
 """So often noise is drawn; the plan is the one in the middle."""
@@ -127,11 +127,11 @@ def learn(
     parameters = fitted_parameters(replace(chosen.fit_, vector=vector), of_target=True)
     told = [PARAMETERS[slot] for slot in stated.parameters]
     determined = np.stack([model.fit_.determined() for model in models])
-    mostly = dict(zip(PARAMETERS, (determined.mean(axis=0) > 0.5).tolist(), strict=True))
+    mostly = dict(zip(PARAMETERS, np.median(determined, axis=0).astype(bool).tolist(), strict=True))
     parameters = tuple(
         replace(one, determined=mostly.get(one.name, one.determined)) for one in parameters
     )
-    unsure = determined.any(axis=0) & ~determined.all(axis=0)
+    unsure: BoolArray = np.ptp(determined.astype(np.int64), axis=0) > 0
     return Learning(
         model=chosen,
         parameters=parameters,
@@ -139,7 +139,7 @@ def learn(
         places_m=pairs.east_north_m,
         duration_s=drive.duration_s,
         statements=tuple(on_undetermined(parameters, told)),
-        seldom=tuple(name for name, one in zip(PARAMETERS, unsure, strict=True) if one),
+        seldom=tuple(name for name, one in zip(PARAMETERS, unsure.tolist(), strict=True) if one),
     )
 
 
@@ -165,7 +165,7 @@ def stated_by(camera: Camera, keys: Sequence[str]) -> StatedCamera:
     }
     for key in keys:
         if key not in known or key not in SLOTS:
-            raise unknown_name("key of [camera]", key, known)
+            raise unknown_name("key of [camera]", key, tuple(known))
     return stated_camera({key: known[key] for key in keys})
 
 
