@@ -18,11 +18,3 @@ def test_the_fit_finds_what_was_planned() -> None:
     assert np.mean(np.isfinite(one.planned_m) & np.isfinite(one.reached_m)) > 0.66
     assert 0.75 < one.ratio < 1.25
     assert one.missed <= one.by_chance
-
-
-@pytest.mark.slow
-def test_a_fit_leaves_open_what_a_plan_of_a_crossing_leaves_open() -> None:
-    one = planning.case(4)
-    assert one.pattern == "across"
-    assert {"height_m", "principal_dx_px"} <= one.planned & one.reached
-    assert "heading_deg" not in one.planned | one.reached
