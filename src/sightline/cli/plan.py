@@ -121,7 +121,7 @@ def plan(
         str,
         typer.Option(
             metavar="KEY,...",
-            help="Keys of [camera] that the scene is to state: height_m, heading_deg, ...",
+            help="Keys of the camera that the scene is to state: height_m, heading_deg, ...",
         ),
     ] = "",
     reach_m: Annotated[

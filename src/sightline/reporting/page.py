@@ -175,17 +175,17 @@ def write_page(page: ReportPage, path: str | Path) -> None:
 
 def render_page(page: ReportPage) -> str:
     """The page as HTML text that needs no other file."""
-    script, style = _asset("report.js"), _asset("report.css")
+    script, style = asset("report.js"), asset("report.css")
     # What no page can hold is shown as such; a zero or an escape in a name is none of the markup.
     return xml_text(
-        _environment()
-        .from_string(_asset("report.html.j2"))
+        environment()
+        .from_string(asset("report.html.j2"))
         .render(
             page=page,
             script=Markup(script),  # noqa: S704 - the package's own file
             style=Markup(style),  # noqa: S704
-            script_hash=_integrity(script),
-            style_hash=_integrity(style),
+            script_hash=integrity(script),
+            style_hash=integrity(style),
             version=version("sightline"),
             headline=_headline(page),
             headlined=_headlined(page),
@@ -755,21 +755,24 @@ def clock_time(time_utc_s: float) -> str:
 
 
 @cache
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """The text of a file that pages are made of."""
     return (files("sightline.reporting") / "templates" / name).read_text(encoding="utf-8")
 
 
-def _integrity(text: str) -> str:
+def integrity(text: str) -> str:
+    """What names a script or a style in a content security policy."""
     digest = hashlib.sha256(text.encode("utf-8")).digest()
     return "sha256-" + base64.b64encode(digest).decode("ascii")
 
 
 @cache
-def _environment() -> Environment:
-    environment = Environment(
+def environment() -> Environment:
+    """What templates of pages are rendered by."""
+    made = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters.update(
+    made.filters.update(
         number=number, percent=percent, signed=_signed, to_sigma=_to_sigma, clock=clock_time
     )
-    return environment
+    return made

@@ -19,8 +19,8 @@ from sightline.atomic import atomic_path
 from sightline.pipeline.plan import Plan
 from sightline.planning import Contour, Row, WaterMap
 from sightline.planning.water_map import LEVELS_M
-from sightline.reporting.page import _asset, _environment, _integrity
-from sightline.reporting.plots import _figure, _tidy, data_uri
+from sightline.reporting.page import asset, environment, integrity
+from sightline.reporting.plots import data_uri, new_figure, tidy
 from sightline.text import xml_text
 
 _INK = "#333333"
@@ -52,7 +52,7 @@ def plan_figure(plan: Plan) -> Figure:
     water = plan.maps[0.0]
     low, high = _extent(plan, water)
     aspect = float((high[1] - low[1]) / (high[0] - low[0]))
-    figure = _figure(_WIDTH_IN, min(max(_WIDTH_IN * 0.8 * aspect, _LEAST_IN), _MOST_IN))
+    figure = new_figure(_WIDTH_IN, min(max(_WIDTH_IN * 0.8 * aspect, _LEAST_IN), _MOST_IN))
     axes = figure.subplots()
     axes.set_aspect("equal")
     axes.set_xlim(low[0], high[0])
@@ -78,7 +78,7 @@ def plan_figure(plan: Plan) -> Figure:
     if len(plan.places_m):
         axes.plot(*plan.places_m.T, ".", color=_DRIVE_COLOUR, ms=2.5, zorder=4)
     _draw_camera(axes, plan, float(max(high - low)))
-    _tidy(axes)
+    tidy(axes)
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     figure.legend(
@@ -177,12 +177,12 @@ def render_plan(plan: Plan) -> str:
     Args:
         plan: The plan.
     """
-    style = _asset("report.css")
+    style = asset("report.css")
     latitude, longitude = plan.place_deg
     tables = [_Water(_title(level), rows) for level, rows in plan.rows.items()]
     return xml_text(
-        _environment()
-        .from_string(_asset("plan.html.j2"))
+        environment()
+        .from_string(asset("plan.html.j2"))
         .render(
             plan=plan,
             latitude_deg=latitude,
@@ -192,7 +192,7 @@ def render_plan(plan: Plan) -> str:
             undetermined=[p.name for p in plan.parameters if not p.determined],
             map=data_uri(plan_figure(plan)),
             style=Markup(style),  # noqa: S704 - the package's own file
-            style_hash=_integrity(style),
+            style_hash=integrity(style),
             version=version("sightline"),
         )
     )

@@ -81,7 +81,7 @@ def map_figure(panels: Sequence[MapPanel], *, probability: float = 0.95) -> Figu
     width = 8.0 if columns == 1 else 4.2 * columns
     aspect = float((high[1] - low[1]) / (high[0] - low[0]))
     height = min(max(width / columns * aspect, 2.4), 9.0) * rows + 0.9
-    figure = _figure(width, height)
+    figure = new_figure(width, height)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     stated = False
     for axes, panel in zip(grid.flat, panels, strict=False):
@@ -90,7 +90,7 @@ def map_figure(panels: Sequence[MapPanel], *, probability: float = 0.95) -> Figu
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
-        _tidy(axes)
+        tidy(axes)
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     for axes in grid.flat[max(len(panels) - columns, 0) : len(panels)]:
@@ -181,7 +181,7 @@ def error_against_range(series: Mapping[str, ScoredPairs]) -> Figure:
     Args:
         series: By name, for example the model's.
     """
-    figure = _figure(7.6, 4.4)
+    figure = new_figure(7.6, 4.4)
     axes = figure.subplots()
     floor = 0.1
     for k, (name, pairs) in enumerate(series.items()):
@@ -231,7 +231,7 @@ def error_against_range(series: Mapping[str, ScoredPairs]) -> Figure:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.set_xlabel("true distance from the camera, m")
     axes.set_ylabel("error, m")
-    _tidy(axes)
+    tidy(axes)
     if series:
         _plain(axes.legend(frameon=False, loc="upper left"))
     return figure
@@ -249,7 +249,7 @@ def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
     Args:
         series: By name; those that state no covariance are left out.
     """
-    figure = _figure(5.2, 4.9)
+    figure = new_figure(5.2, 4.9)
     axes = figure.subplots()
     stated = np.linspace(0.0, 0.99, 100)
     axes.fill_between([0.0, 1.0], [0.0, 1.0], 0.0, color=TRUTH_COLOUR, alpha=0.05, lw=0.0)
@@ -273,7 +273,7 @@ def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
         axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
     axes.set_xlabel("stated probability of the ellipse")
     axes.set_ylabel("share of true positions inside")
-    _tidy(axes)
+    tidy(axes)
     if axes.get_legend_handles_labels()[0]:
         _plain(axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.9)))
     return figure
@@ -289,13 +289,13 @@ def error_over_time(recordings: Mapping[str, ScoredPairs], *, probability: float
     shown = {name: pairs for name, pairs in recordings.items() if len(pairs)}
     columns = min(max(len(shown), 1), 3)
     rows = max(math.ceil(len(shown) / columns), 1)
-    figure = _figure(4.0 * columns if columns > 1 else 7.6, 2.1 * rows + 0.9)
+    figure = new_figure(4.0 * columns if columns > 1 else 7.6, 2.1 * rows + 0.9)
     grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
     for axes, (name, pairs) in zip(grid.flat, shown.items(), strict=False):
         _draw_over_time(axes, pairs, probability)
         _title(axes, name, fontsize=10)
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
-        _tidy(axes)
+        tidy(axes)
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
     if shown:
@@ -379,7 +379,7 @@ def image_residuals(
         np.zeros(len(pixel), dtype=bool) if outlier is None else np.asarray(outlier, dtype=bool)
     )
     width, height = image_size_px
-    figure = _figure(9.0, 9.0 * height / width + 0.8)
+    figure = new_figure(9.0, 9.0 * height / width + 0.8)
     axes = figure.subplots()
     if image_rgb is not None:
         axes.imshow(image_rgb, extent=(0.0, width, height, 0.0), alpha=0.6)
@@ -404,7 +404,7 @@ def image_residuals(
     axes.set_aspect("equal")
     axes.set_xlabel("x, px")
     axes.set_ylabel("y, px")
-    _tidy(axes)
+    tidy(axes)
     axes.grid(image_rgb is None)
     handles: list[Line2D] = [
         _dot(ESTIMATE_COLOUR, f"residual, {magnified:g} times as long, median {usual:.1f} px")
@@ -461,7 +461,8 @@ def _save(
         figure.savefig(to, dpi=dpi, format=kind, metadata=metadata)
 
 
-def _figure(width_in: float, height_in: float) -> Figure:
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """A white figure that arranges what is in it."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
     engine = figure.get_layout_engine()
     assert isinstance(engine, ConstrainedLayoutEngine)
@@ -487,7 +488,8 @@ def _plain(legend: Legend) -> None:
         text.set_usetex(False)
 
 
-def _tidy(axes: Axes) -> None:
+def tidy(axes: Axes) -> None:
+    """Leave out what of a frame says nothing."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
