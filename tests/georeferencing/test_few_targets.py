@@ -35,7 +35,7 @@ def test_only_what_lasts_and_the_camera_are_wider_after_few_targets() -> None:
     places = np.stack([rng.uniform(-20.0, 20.0, 60), rng.uniform(40.0, 120.0, 60)], axis=1)
     foot_px = np.stack([640.0 + 900.0 * places[:, 0] / places[:, 1], 300.0 + 7e3 / places[:, 1]], 1)
     foot_px += rng.normal(0.0, 0.5, foot_px.shape)
-    boxes = np.concatenate([foot_px - (15.0, 30.0), foot_px + (15.0, 0.0)], axis=1)
+    boxes = np.tile(foot_px, 2) + np.array([-15.0, -30.0, 15.0, 0.0])
     model = CameraRegressor(residual=False).fit(boxes, places)
     known, few = (model.with_fit(replace(model.fit_, targets=count)) for count in (0, 7))
     (where, whole, shared), (where_few, whole_few, shared_few) = (
