@@ -177,6 +177,11 @@ class MixedModel:
         if not position_known:
             self.scale[POSITION] = self.spread
 
+    @property
+    def targets(self) -> int:
+        """How many targets there are."""
+        return int(np.unique(self.sightings.log[self.boxes]).size)
+
     def expect_clocks(self, clocks: Mapping[int, tuple[float, float]]) -> None:
         """Set the prior of the clock offsets of some recordings."""
         for slot, group in enumerate(self.clock_groups.tolist(), self.layout.clocks.start):

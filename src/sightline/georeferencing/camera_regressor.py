@@ -62,8 +62,14 @@ UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
 
+LEAST_FREEDOM = 6.0
+"""Degrees of freedom that an estimated scatter has at least: of fewer targets than that the priors
+of the noise tell more than these do, and they are wide."""
+
 # Prior of what earlier models took as known.
 _EXACT = 1e-9
+# Negative logarithm of the share outside of an ellipse of 95 %.
+_OUTSIDE = -math.log(0.05)
 # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
@@ -334,6 +340,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # may have as well, as far as anyone can tell.
         constant = max(noise.offset_m**2 - noise.correlated_m**2, 0.0)
         self.lasting_m2 = noise.lasting_m**2 + constant
+        self.few = student_share(self.fit_.targets)
         self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
@@ -388,8 +395,12 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         shift[:, 0] += of_target @ hull.shares
         moved = np.einsum("kin,kin->in", shift, shift)
         skewed = _ranges_variance(moved[0], at.distance_m) - moved[0]
+        likely = moved[0].copy()
+        moved *= self.few
         if self.above_sigma_m > 0.0:
-            moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
+            of_level = np.square(self.above_sigma_m * by[BY_ABOVE, 0])
+            moved[0] += of_level
+            likely += of_level
         slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
         by_column, by_row = by[BY_COLUMN], by[BY_ROW]
         box = self.fit_.noise if heave else replace(self.fit_.noise, heave_m=0.0)
@@ -402,14 +413,18 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         lasting += self.lasting_m2
         lasting += self.aboard_m2 * hull.squares
         lasting[0] += hull.variance_m2
+        likely += noise[0] + lasting[0]
+        lasting *= self.few
         lasting_mixed = last_column * by_column[0] * by_column[1] + last_row * by_row[0] * by_row[1]
+        lasting_mixed *= self.few
         return _Seen(
             at.distance_m,
             at.sine,
             at.cosine,
             moved=moved,
             skewed=skewed,
-            moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
+            likely=likely,
+            moved_mixed=self.few * np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
             noise=noise + lasting,
             noise_mixed=of_column * by_column[0] * by_column[1]
             + of_row * by_row[0] * by_row[1]
@@ -458,7 +473,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             seen = self._see(boxes, source, above_m)
             reach = np.maximum(seen.distance, self.fit_.typical_range_m)
             limit = (LARGEST_RELATIVE_SIGMA * reach) ** 2
-            known = seen.moved[0] + seen.noise[0] < limit
+            known = seen.likely < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
         along, across = seen.moved + self.clock_variance
         along += seen.skewed
@@ -617,6 +632,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "starts": fit.starts,
             "typical_range_m": fit.typical_range_m,
             "typical_speed_mps": self.typical_speed_mps_,
+            "targets": fit.targets,
             "sizes": None
             if fit.sizes is None
             else {
@@ -698,6 +714,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             starts=int(settings["starts"]),
             typical_range_m=float(settings["typical_range_m"]),
             sizes=sizes,
+            targets=int(settings.get("targets", 0)),
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
             raise ValueError("a parameter of the camera is not a number")
@@ -714,6 +731,25 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ]
         model.range_process_, model.bearing_process_ = processes
         return model
+
+
+def student_share(targets: int) -> float:
+    """By how much ellipses are wider, in variance, than if all noise were known.
+
+    What a target has for as long as it is watched shows once a target, so that a handful tells its
+    scatter badly, and with it how far the camera may be off. With an estimated scatter, errors have
+    Student's distribution: the share is that of the 95 % quantiles of its square in the plane,
+    F(2, ν), and of a normal one's. Priors are worth the one degree of freedom that a mean costs:
+    one value tells a standard deviation to a factor of two, as they do. The boxes' own noise shows
+    in every box, and counts as known.
+
+    Args:
+        targets: How many the noise was estimated from; 0: it is known.
+    """
+    if not targets:
+        return 1.0
+    freedom = max(float(targets), LEAST_FREEDOM)
+    return float(0.5 * freedom * np.expm1(2.0 * _OUTSIDE / freedom) / _OUTSIDE)
 
 
 def _ranges_variance(along_m2: FloatArray, distance_m: FloatArray) -> FloatArray:
@@ -793,6 +829,7 @@ class _Seen:
         cosine: (N,) of the bearing.
         moved: (2, N) variance along and across the line of sight that the parameters make.
         skewed: (N,) by how much a range that is multiplied by its error varies more than that.
+        likely: (N,) variance along, as if all noise were known.
         moved_mixed: (N,) the covariance of the two.
         noise: (2, N) variance along and across that the box's noise makes.
         noise_mixed: (N,) the covariance of the two.
@@ -807,6 +844,7 @@ class _Seen:
     cosine: FloatArray
     moved: FloatArray
     skewed: FloatArray
+    likely: FloatArray
     moved_mixed: FloatArray
     noise: FloatArray
     noise_mixed: FloatArray
