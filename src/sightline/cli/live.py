@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -31,6 +32,7 @@ from sightline.stopping import Stop, call
 
 if TYPE_CHECKING:
     from sightline.georeferencing.georeferencer import Georeferencer
+    from sightline.live.ais import AisMatcher
     from sightline.live.config import LiveTable
     from sightline.live.journal import Journal
     from sightline.live.run import Camera
@@ -231,7 +233,7 @@ class _Session:
 
     def watch(self, stop: Stop) -> None:
         """Watch until somebody asks to stop."""
-        from sightline.live.ais import AisMatcher, AisReceiver
+        from sightline.live.ais import AisReceiver
         from sightline.live.run import EarlierRun, LiveRun
         from sightline.live.store import Keeper
 
@@ -255,7 +257,7 @@ class _Session:
         call(self._probed, stop)
         matcher = None
         if table.ais.source is not None:
-            matcher = AisMatcher(self._model.plane)
+            matcher = self._made_matcher(store)
             receiver = AisReceiver(table.ais.source, matcher)
             self._stack.callback(receiver.close)
             receiver.start()
@@ -384,6 +386,17 @@ class _Session:
         feed: Feed = open_feed(url, kind=kind, camera=self._table.camera)
         return feed
 
+    def _made_matcher(self, store: Store | None) -> AisMatcher:
+        from sightline.live.ais import AisMatcher
+        from sightline.live.ais_check import ModelCheck
+        from sightline.live.view import View
+
+        camera, level_m = self._camera, self._table.water_level_m
+        view = View(self._model, area=camera.area, mask=camera.mask, water_level_m=level_m)
+        before = store.checks() if store is not None else []
+        check = ModelCheck(self._model, water_level_m=level_m, before=before, told=self.told)
+        return AisMatcher(self._model.plane, view=view, check=check, told=self.told)
+
     def _tried(self, kind: _Kind, url: str) -> str:
         from sightline.text import without_secrets
 
@@ -395,7 +408,13 @@ class _Session:
 
         if self._table.store.file is None:
             return None
-        return Store(self._table.store.file, camera=self._table.camera, plane=self._model.plane)
+        content = Path(self._table.model or "").read_bytes()
+        return Store(
+            self._table.store.file,
+            camera=self._table.camera,
+            plane=self._model.plane,
+            model=hashlib.sha256(content).hexdigest()[:16],
+        )
 
     def _tried_store(self) -> str:
         from sightline.live.store import check_store

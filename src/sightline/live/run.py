@@ -180,7 +180,8 @@ class LiveRun:
             if now_s >= self._state_due_s:
                 self._state_due_s = now_s + _STATE_EVERY_S
                 kept_state = self.state.to_json()
-            self._keeper.keep(moment, (), kept_state)
+            checks = [] if self._ais is None else self._ais.take_checks()
+            self._keeper.keep(moment, (), kept_state, checks)
         assert self._lines is not None, "made by `run`"
         self._lines.publish(moment)
         parts = self.state.smooth_next(moment.time_utc_s)
@@ -208,7 +209,7 @@ class LiveRun:
             frame_size_px=(width, height),
         )
         if self._ais is not None:
-            moment = self._ais.identify(moment)
+            moment = self._ais.identify(moment, str(boxes.source[0]) if len(boxes) else "")
         self._last = frame.image_bgr, moment
         return moment
 
@@ -266,7 +267,7 @@ class LiveRun:
         if self._lines is not None:
             told["feeds"] = self._lines.counts()
         if self._ais is not None:
-            told["ais_vessels"] = len(self._ais)
+            told["ais"] = self._ais.figures()
         if keeper is not None:
             known = np.isfinite(keeper.kept_utc_s)
             told["kept_utc_s"] = keeper.kept_utc_s if known else None

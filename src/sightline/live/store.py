@@ -1,6 +1,6 @@
 """What live keeps: one SQLite file, which survives a program that is killed.
 
-The schema, version 1 (``PRAGMA user_version``; ``application_id`` 0x53474C54). Times are whole
+The schema, version 2 (``PRAGMA user_version``; ``application_id`` 0x53474C54). Times are whole
 microseconds since the epoch, UTC, by the clock that `Moment` says; places WGS 84; variances and
 covariance m², east and north.
 
@@ -14,6 +14,11 @@ point    time_us, target_id, latitude_deg, longitude_deg, east_m2, east_north_m2
 smoothed target_id, time_us, latitude_deg, longitude_deg, east_m2, east_north_m2, north_m2,
          velocity_east_mps, velocity_north_mps, kind (a `PointKind`), final (0 or 1): the track a
          few seconds behind, and what replaces it once the target has gone
+event    time_us, target_id, kind, boundary, direction, probability, speed_mps: what targets did at
+         lines and in zones (since version 2)
+passage  time_us, target_id, mmsi, model, east_m, north_m, velocity_east_mps, velocity_north_mps,
+         off_east_m, off_north_m, east_m2, east_north_m2, north_m2, x1_px, y1_px, x2_px, y2_px,
+         source: a target beside what its vessel reported, an `AisCheck` (since version 2)
 ======== ==========================================================================================
 
 The file is in WAL mode with ``synchronous=NORMAL``: what was committed outlives the program, though
@@ -39,16 +44,21 @@ import numpy as np
 from sightline.atomic import locked
 from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
+from sightline.live.ais_check import AisCheck
 from sightline.live.state import SmoothedPart
-from sightline.moment import Moment
+from sightline.moment import Alert, Moment
 from sightline.types import PointKind, Track
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _APPLICATION_ID = 0x53474C54
 _STATES = ("measured", "predicted", "moored")
 _CAPTURES = ("sender", "arrival")
 _DAY_US = 86_400_000_000
+_CHECKS_US = 30 * _DAY_US
 _DELETED_AT_ONCE = 5000
+
+Row = Alert | AisCheck
+"""What is kept besides moments."""
 
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;
@@ -72,23 +82,42 @@ CREATE TABLE smoothed (
     PRIMARY KEY (target_id, time_us)
 ) WITHOUT ROWID;
 """
+_SCHEMA_2 = """
+CREATE TABLE event (
+    time_us INTEGER NOT NULL, target_id INTEGER NOT NULL, kind TEXT NOT NULL,
+    boundary TEXT NOT NULL, direction TEXT, probability REAL NOT NULL, speed_mps REAL
+);
+CREATE INDEX event_time ON event (time_us);
+CREATE TABLE passage (
+    time_us INTEGER NOT NULL, target_id INTEGER NOT NULL, mmsi INTEGER NOT NULL,
+    model TEXT NOT NULL, east_m REAL NOT NULL, north_m REAL NOT NULL,
+    velocity_east_mps REAL NOT NULL, velocity_north_mps REAL NOT NULL,
+    off_east_m REAL NOT NULL, off_north_m REAL NOT NULL,
+    east_m2 REAL NOT NULL, east_north_m2 REAL NOT NULL, north_m2 REAL NOT NULL,
+    x1_px REAL NOT NULL, y1_px REAL NOT NULL, x2_px REAL NOT NULL, y2_px REAL NOT NULL,
+    source TEXT NOT NULL, PRIMARY KEY (time_us, target_id, mmsi)
+) WITHOUT ROWID;
+"""
 
 
 class Store:
     """The store of a camera, open for writing by one thread; see the module for the schema."""
 
-    def __init__(self, path: str | os.PathLike[str], *, camera: str, plane: LocalPlane) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], *, camera: str, plane: LocalPlane, model: str = ""
+    ) -> None:
         """Open a store, or make it.
 
         Args:
             path: The file.
             camera: Name of the camera.
             plane: The plane of its tracks.
+            model: Tells the model from others, since what AIS says holds for one alone.
 
         Raises:
             InputError: The file is something else, of a newer version, or cannot be written.
         """
-        self.path = Path(path)
+        self.path, self.model = Path(path), model
         self._lock = _only_writer(self.path)
         try:
             made = not self.path.exists() or self.path.stat().st_size == 0
@@ -102,8 +131,13 @@ class Store:
             self._file.execute("PRAGMA synchronous = NORMAL")
             if made:
                 self._file.executescript(
-                    f"BEGIN; {_SCHEMA} PRAGMA application_id = {_APPLICATION_ID};"
+                    f"BEGIN; {_SCHEMA} {_SCHEMA_2} "
+                    f"PRAGMA application_id = {_APPLICATION_ID};"
                     f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
+                )
+            elif self._file.execute("PRAGMA user_version").fetchone() == (1,):
+                self._file.executescript(
+                    f"BEGIN; {_SCHEMA_2} PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
                 )
             with self._file:
                 self._put("camera", camera)
@@ -130,8 +164,9 @@ class Store:
         moments: Sequence[Moment],
         parts: Sequence[SmoothedPart] = (),
         state: dict[str, object] | None = None,
+        rows: Sequence[Row] = (),
     ) -> None:
-        """Keep moments and smoothed parts; they are kept once this returns, all or none.
+        """Keep moments, smoothed parts and rows; they are kept once this returns, all or none.
 
         Raises:
             sqlite3.Error: They cannot be written.
@@ -141,6 +176,8 @@ class Store:
                 self._keep_moment(moment)
             for part in parts:
                 self._keep_part(part)
+            for row in rows:
+                self._keep_row(row)
             if state is not None:
                 self._put("state", json.dumps(state))
 
@@ -167,7 +204,13 @@ class Store:
                 if done < _DELETED_AT_ONCE:
                     break
         with self._file:
-            self._file.execute("DELETE FROM target WHERE last_us < ?", (until_us,))
+            for table, column in (("target", "last_us"), ("event", "time_us")):
+                self._file.execute(
+                    f"DELETE FROM {table} WHERE {column} < ?",  # noqa: S608 - names of ours
+                    (until_us,),
+                )
+            # A model is judged over days that are longer than a short retention.
+            self._file.execute("DELETE FROM passage WHERE time_us < ?", (until_us - _CHECKS_US,))
         self._file.execute("PRAGMA incremental_vacuum").fetchall()
         return removed
 
@@ -229,6 +272,42 @@ class Store:
             "ON CONFLICT (id) DO UPDATE SET label = excluded.label",
             (track.track_id, times[0], times[-1], track.label),
         )
+
+    def _keep_row(self, row: Row) -> None:
+        time_us = _microseconds(row.time_utc_s)
+        if isinstance(row, Alert):
+            told = (time_us, row.target_id, row.kind, row.boundary, row.direction)
+            self._file.execute(
+                "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?)",
+                (*told, row.probability, row.speed_mps),
+            )
+            return
+        numbers = (*row.place_m, *row.velocity_mps, *row.off_m, *row.covariance_m2)
+        key = (time_us, row.target_id, row.mmsi, self.model)
+        self._file.execute(
+            f"INSERT OR REPLACE INTO passage VALUES ({', '.join('?' * 18)})",
+            (*key, *numbers, *row.box_xyxy_px, row.source),
+        )
+
+    def checks(self) -> list[AisCheck]:
+        """What AIS said of the model that is watched with, in the order of time."""
+        rows = self._file.execute(
+            "SELECT * FROM passage WHERE model = ? ORDER BY time_us", (self.model,)
+        ).fetchall()
+        return [
+            AisCheck(
+                time_utc_s=row[0] * 1e-6,
+                target_id=row[1],
+                mmsi=row[2],
+                place_m=row[4:6],
+                velocity_mps=row[6:8],
+                off_m=row[8:10],
+                covariance_m2=row[10:13],
+                box_xyxy_px=row[13:17],
+                source=row[17],
+            )
+            for row in rows
+        ]
 
     def _put(self, key: str, value: str) -> None:
         self._file.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
@@ -410,6 +489,7 @@ class Keeper:
         self._changed = threading.Condition()
         self._moments: deque[Moment] = deque()
         self._parts: deque[SmoothedPart] = deque()
+        self._rows: deque[Row] = deque()
         self._state: dict[str, object] | None = None
         self._closing = False
         self._forget_at_s = 0.0
@@ -424,18 +504,21 @@ class Keeper:
         moment: Moment | None,
         parts: Sequence[SmoothedPart] = (),
         state: dict[str, object] | None = None,
+        rows: Sequence[Row] = (),
     ) -> None:
         """Hand over what is to be kept; returns at once."""
         with self._changed:
             if moment is not None:
                 self._moments.append(moment)
             self._parts.extend(parts)
+            self._rows.extend(rows)
             self._state = state or self._state
             while len(self._moments) > self._most:
                 self._moments.popleft()
                 self.lost += 1
-            while len(self._parts) > self._most:
-                self._parts.popleft()
+            for waiting in (self._parts, self._rows):
+                while len(waiting) > self._most:
+                    waiting.popleft()
             self._changed.notify_all()
 
     def close(self, timeout_s: float = 1.0) -> None:
@@ -449,12 +532,12 @@ class Keeper:
         try:
             while True:
                 with self._changed:
-                    if not (self._moments or self._parts or self._closing):
+                    if not (self._moments or self._parts or self._rows or self._closing):
                         self._changed.wait(0.5)
                     moments, parts = list(self._moments), list(self._parts)
-                    state, closing = self._state, self._closing
-                done = self._write(moments, parts, state)
-                if closing and (not done or not (self._moments or self._parts)):
+                    rows, state, closing = list(self._rows), self._state, self._closing
+                done = self._write(moments, parts, rows, state)
+                if closing and (not done or not (self._moments or self._parts or self._rows)):
                     return
                 if done:
                     self._forget()
@@ -467,12 +550,13 @@ class Keeper:
         self,
         moments: list[Moment],
         parts: list[SmoothedPart],
+        rows: list[Row],
         state: dict[str, object] | None,
     ) -> bool:
-        if not (moments or parts or state):
+        if not (moments or parts or rows or state):
             return True
         try:
-            self._store.keep(moments, parts, state)
+            self._store.keep(moments, parts, state, rows)
         except sqlite3.Error as error:
             if not self.problem:
                 self.problem = str(error)
@@ -488,9 +572,11 @@ class Keeper:
                 self._moments.popleft()
             if self._state is state:
                 self._state = None
-            written = {id(part) for part in parts}
-            while self._parts and id(self._parts[0]) in written:
-                self._parts.popleft()
+            written = {id(one) for one in (*parts, *rows)}
+            waiting: deque[SmoothedPart] | deque[Row]
+            for waiting in (self._parts, self._rows):
+                while waiting and id(waiting[0]) in written:
+                    waiting.popleft()
         if moments:
             self.kept_utc_s = moments[-1].time_utc_s
         return True
