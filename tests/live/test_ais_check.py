@@ -43,16 +43,16 @@ def watched(
         fixes = harbour.fixes(boat=boat)
         truth = harbour.truth(fixes.time_utc_s, [boat])
         velocity = np.gradient(np.stack([truth.east_m, truth.north_m]), fixes.time_utc_s, axis=1)
-        for k in range(boat.identity % 5, len(fixes), 5):
-            reports.append(
-                AisReport(
-                    mmsi=211000000 + boat.identity,
-                    time_utc_s=float(fixes.time_utc_s[k]),
-                    latitude_deg=float(fixes.latitude_deg[k]),
-                    longitude_deg=float(fixes.longitude_deg[k]),
-                    velocity_mps=(float(velocity[0, k]), float(velocity[1, k])),
-                )
+        reports += [
+            AisReport(
+                mmsi=211000000 + boat.identity,
+                time_utc_s=float(fixes.time_utc_s[k]),
+                latitude_deg=float(fixes.latitude_deg[k]),
+                longitude_deg=float(fixes.longitude_deg[k]),
+                velocity_mps=(float(velocity[0, k]), float(velocity[1, k])),
             )
+            for k in range(boat.identity % 5, len(fixes), 5)
+        ]
     reports.sort(key=lambda one: one.time_utc_s)
     state, history, moments = LiveState(model, "quay"), CameraHistory(), []
     for time in times.tolist():

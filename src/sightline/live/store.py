@@ -285,7 +285,8 @@ class Store:
         numbers = (*row.place_m, *row.velocity_mps, *row.off_m, *row.covariance_m2)
         key = (time_us, row.target_id, row.mmsi, self.model)
         self._file.execute(
-            f"INSERT OR REPLACE INTO passage VALUES ({', '.join('?' * 18)})",
+            "INSERT OR REPLACE INTO passage VALUES "
+            "(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
             (*key, *numbers, *row.box_xyxy_px, row.source),
         )
 

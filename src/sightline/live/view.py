@@ -68,7 +68,7 @@ class View:
         size = np.array(self._model.image_size_px, dtype=np.float64)
         low, high = _MARGIN * size, (1.0 - _MARGIN) * size
         with np.errstate(invalid="ignore"):
-            inside: BoolArray = ((pixel >= low) & (pixel <= high)).all(axis=1)
+            inside = np.asarray(((pixel >= low) & (pixel <= high)).all(axis=1))
         off = place_m - [camera.east_m, camera.north_m]
         inside &= np.hypot(*off.T) <= camera.focal_px * _BOAT_M / _LEAST_PX
         if self._mask is not None:
