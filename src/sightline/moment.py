@@ -125,6 +125,49 @@ class Alert:
 
 
 @dataclass(frozen=True)
+class BoundaryState:
+    """What has happened at a line or in a zone since it is watched.
+
+    Attributes:
+        name: As its file names it.
+        kind: ``line`` or ``zone``.
+        left_to_right: Crossings of a line, seen from its first corner to its last.
+        right_to_left: Likewise.
+        inside: How many targets are in a zone now.
+        entries: How many have come into it.
+        exits: How many have left it.
+        mean_dwell_s: How long those stayed that are in it no more; None before the first.
+        longest_dwell_s: How long one has been in it that is in it now; None without one.
+    """
+
+    name: str
+    kind: Literal["line", "zone"]
+    left_to_right: int = 0
+    right_to_left: int = 0
+    inside: int = 0
+    entries: int = 0
+    exits: int = 0
+    mean_dwell_s: float | None = None
+    longest_dwell_s: float | None = None
+
+    def to_message(self) -> dict[str, object]:
+        """The line or zone as messages have it."""
+        told: dict[str, object] = {"name": self.name, "kind": self.kind}
+        if self.kind == "line":
+            return told | {
+                "left_to_right": self.left_to_right,
+                "right_to_left": self.right_to_left,
+            }
+        return told | {
+            "inside": self.inside,
+            "entries": self.entries,
+            "exits": self.exits,
+            "mean_dwell_s": _rounded(self.mean_dwell_s, 1),
+            "longest_dwell_s": _rounded(self.longest_dwell_s, 1),
+        }
+
+
+@dataclass(frozen=True)
 class UnseenVessel:
     """A vessel that AIS places in view of the camera, and that no target is.
 
@@ -168,6 +211,8 @@ class Moment:
         frame_size_px: Width and height of the frame, px; None where there was none.
         capture_sigma_s: Standard deviation of the capture time, seconds; None while unknown.
         unseen: Vessels in view that no target is; None where there is no AIS.
+        boundaries: What has happened at lines and in zones; None where there are none.
+        alerts: What targets have done at these since the moment before.
     """
 
     time_utc_s: float
@@ -177,12 +222,17 @@ class Moment:
     frame_size_px: tuple[int, int] | None = None
     capture_sigma_s: float | None = None
     unseen: tuple[UnseenVessel, ...] | None = None
+    boundaries: tuple[BoundaryState, ...] | None = None
+    alerts: tuple[Alert, ...] = ()
 
     def to_message(self) -> dict[str, object]:
         """The message of the moment, ready for JSON."""
         told: dict[str, object] = {}
         if self.unseen is not None:
             told["vessels_without_target"] = [vessel.to_message() for vessel in self.unseen]
+        if self.boundaries is not None:
+            told["boundaries"] = [boundary.to_message() for boundary in self.boundaries]
+            told["alerts"] = [alert.to_message() for alert in self.alerts]
         return {
             "time_utc": _time(self.time_utc_s),
             "capture": self.capture,

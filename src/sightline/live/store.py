@@ -485,16 +485,20 @@ class Keeper:
             told: Is told when it cannot be written, and when it can again.
         """
         self.kept_utc_s, self.lost, self.problem = float("nan"), 0, ""
+        self.change(retention_days)
         self._store, self._told, self._most = store, told, most
-        self._retention_s = None if retention_days is None else retention_days * 86_400.0
         self._changed = threading.Condition()
         self._moments: deque[Moment] = deque()
         self._parts: deque[SmoothedPart] = deque()
         self._rows: deque[Row] = deque()
         self._state: dict[str, object] | None = None
         self._closing = False
-        self._forget_at_s = 0.0
         self._thread = threading.Thread(target=self._run, daemon=True, name="sightline-store")
+
+    def change(self, retention_days: float | None) -> None:
+        """Remove what is older than so many days, or nothing, from now on."""
+        self._retention_s = None if retention_days is None else retention_days * 86_400.0
+        self._forget_at_s = 0.0
 
     def start(self) -> None:
         """Begin to write."""

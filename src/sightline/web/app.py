@@ -106,6 +106,7 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             "frame_size_px": size,
             "picture": hub.picture is not None,
             "shore": hub.shore is not None,
+            "boundaries": hub.boundaries is not None,
         }
         return _json(told)
 
@@ -129,6 +130,12 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
         if hub.shore is None:
             return _json({"reason": "no shore was given"}, 404)
         return Response(hub.shore, 200, _NO_STORE, "application/geo+json")
+
+    @app.get("/boundaries.geojson")
+    async def boundaries() -> Response:
+        if hub.boundaries is None:
+            return _json({"reason": "no lines and no zones were given"}, 404)
+        return Response(json.dumps(hub.boundaries), 200, _NO_STORE, "application/geo+json")
 
     @app.get("/picture.jpg")
     def picture() -> Response:
