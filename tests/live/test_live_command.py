@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -234,6 +235,29 @@ def test_bad_input_is_one_line(
         assert why in err, (arguments, err)
         assert err.count("\n") == 1, err
         assert "secret" not in out + err
+
+
+def test_the_unit_of_the_documentation_is_one_that_systemd_takes(tmp_path: Path) -> None:
+    verify = shutil.which("systemd-analyze")
+    if verify is None:
+        pytest.skip("there is no systemd-analyze")
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "watch-live.md"
+    (text,) = re.findall(r"^```ini\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    assert "ExecReload=/bin/kill -HUP $MAINPID" in text
+    unit = tmp_path / "sightline-dock.service"
+    # Nobody has installed it here, nor made a user for it.
+    unit.write_text(text.replace("/opt/sightline/bin/sightline", "/bin/true"), encoding="utf-8")
+    done = subprocess.run(
+        [verify, "verify", "--man=no", str(unit)], capture_output=True, text=True, timeout=60
+    )
+    said = [line for line in done.stderr.splitlines() if unit.name in line]
+    assert said == []
+    unit.write_text(text.replace("NoNewPrivileges=yes", "NoNewPrivilege=yes"), encoding="utf-8")
+    done = subprocess.run(
+        [verify, "verify", "--man=no", str(unit)], capture_output=True, text=True, timeout=60
+    )
+    if "NoNewPrivilege" not in done.stderr:
+        pytest.skip(f"systemd-analyze checks nothing here: {done.stderr.strip()[-200:]}")
 
 
 def test_the_configuration_of_the_documentation_is_read(tmp_path: Path) -> None:
