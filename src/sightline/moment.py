@@ -44,6 +44,7 @@ class TargetState:
         velocity_sigma_mps: Standard deviation of the velocity, m/s along each axis; None while
             unknown.
         identity: What AIS says of it; None where there is no AIS, or while it is undecided.
+        label: Its class, as the detector calls it; empty where it tells none.
     """
 
     id: int
@@ -60,12 +61,14 @@ class TargetState:
     match: float | None = None
     velocity_sigma_mps: float | None = None
     identity: Identity | None = None
+    label: str = ""
 
     def to_message(self) -> dict[str, object]:
         """The target as the message of a moment has it."""
         covariance = np.asarray(self.covariance_m2, dtype=float)
         box = None if self.box_xyxy_px is None else [round(x, 1) for x in self.box_xyxy_px]
-        told: dict[str, object] = {} if self.identity is None else {"identity": self.identity}
+        told: dict[str, object] = {"identity": self.identity, "label": self.label}
+        told = {key: value for key, value in told.items() if value}
         return {
             "id": self.id,
             "latitude_deg": round(self.latitude_deg, 7),

@@ -285,7 +285,7 @@ class _Session:
         """
         from sightline.live.ais import AisReceiver
         from sightline.live.run import EarlierRun, LiveRun
-        from sightline.live.store import Keeper
+        from sightline.live.store import Keeper, KeptMoments
 
         table = self._table
         store = self._opened_store()
@@ -319,6 +319,8 @@ class _Session:
             server = self._opened_server(run.health, run.picture)
             watch = self._camera.boundaries
             server.hub.boundaries = None if watch is None else watch.geojson()
+            if table.store.file is not None:
+                server.hub.kept = KeptMoments(Path(table.store.file))
             run.add_feed("page", server)
             server.start()
             self._hub = server.hub

@@ -12,7 +12,6 @@ from sightline.formats._features import FeatureWriter, feature_writer
 from sightline.text import json_text
 from sightline.types import Track, ellipses
 
-
 _SYSTEMS = (
     '"crs": {"type": "Name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}, '
     '"trs": {"type": "Name", "properties": {"name": "urn:ogc:data:time:iso8601"}}, '

@@ -314,6 +314,7 @@ class LiveState:
                     box_xyxy_px=target.box if seen else None,
                     confidence=target.confidence if seen else None,
                     velocity_sigma_mps=sigma_mps if known else None,
+                    label=target.label,
                 )
             )
         return tuple(found)

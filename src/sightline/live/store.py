@@ -34,9 +34,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 from urllib.parse import quote
 
 import numpy as np
@@ -46,13 +46,14 @@ from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
 from sightline.live.ais_check import AisCheck
 from sightline.live.state import SmoothedPart
-from sightline.moment import Alert, Moment
+from sightline.moment import Alert, CaptureClock, Moment, State, TargetState
 from sightline.types import PointKind, Track
 
 SCHEMA_VERSION = 2
 _APPLICATION_ID = 0x53474C54
-_STATES = ("measured", "predicted", "moored")
-_CAPTURES = ("sender", "arrival")
+_STATES: tuple[State, ...] = ("measured", "predicted", "moored")
+_CAPTURES: tuple[CaptureClock, ...] = ("sender", "arrival")
+_MOST_TARGETS = 2000
 _DAY_US = 86_400_000_000
 _CHECKS_US = 30 * _DAY_US
 _DELETED_AT_ONCE = 5000
@@ -404,6 +405,94 @@ def stored_tracks(
                 yield track
     except (sqlite3.Error, LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: is damaged, or no store of sightline live ({error})") from error
+
+
+class KeptMoments:
+    """What was published, read from a store that may be written to at the same time.
+
+    Each answer is read in transactions of one moment, since a reader that stays lets the log grow.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take a store.
+
+        Args:
+            path: The file; it is only read.
+        """
+        self._path = path
+
+    def extent_utc_s(self) -> tuple[float, float] | None:
+        """Times of the first and the last moment with a target; None where there is none.
+
+        Raises:
+            InputError: The store cannot be read.
+        """
+        with _readable(self._path) as file:
+            first, last = file.execute("SELECT min(time_us), max(time_us) FROM point").fetchone()
+        return None if first is None else (first * 1e-6, last * 1e-6)
+
+    def moments(self, from_utc_s: float, seconds: float, step_s: float = 1.0) -> list[Moment]:
+        """Moments of a part of the time, one a step: the last that was published in it.
+
+        Args:
+            from_utc_s: POSIX seconds.
+            seconds: How long the part is.
+            step_s: How far apart moments are; steps in which nothing was published have none.
+
+        Raises:
+            InputError: The store cannot be read.
+        """
+        found = []
+        with _readable(self._path) as file:
+            told = file.execute("SELECT value FROM meta WHERE key = 'camera'").fetchone()
+            camera = str(told[0]) if told else ""
+            for k in range(int(np.ceil(seconds / step_s))):
+                low, high = (_microseconds(from_utc_s + n * step_s) for n in (k, k + 1))
+                rows = file.execute(
+                    "SELECT time_us, target_id, latitude_deg, longitude_deg, east_m2, "
+                    "east_north_m2, north_m2, speed_mps, course_deg, state, capture, mmsi, name, "
+                    "match, label FROM point LEFT JOIN target ON target.id = target_id "
+                    "WHERE time_us = (SELECT max(time_us) FROM point WHERE time_us >= ? "
+                    "AND time_us < ?) LIMIT ?",
+                    (low, high, _MOST_TARGETS),
+                ).fetchall()
+                if rows:
+                    found.append(_moment(camera, rows))
+        return found
+
+
+def _moment(camera: str, rows: list[tuple[Any, ...]]) -> Moment:
+    targets = tuple(
+        TargetState(
+            id=row[1],
+            latitude_deg=row[2],
+            longitude_deg=row[3],
+            covariance_m2=np.array([[row[4], row[5]], [row[5], row[6]]]),
+            speed_mps=row[7],
+            course_deg=row[8],
+            state=_STATES[row[9]],
+            mmsi=row[11],
+            name=row[12],
+            match=row[13],
+            label=str(row[14] or ""),
+        )
+        for row in rows
+    )
+    return Moment(rows[0][0] * 1e-6, _CAPTURES[rows[0][10]], camera, targets)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[sqlite3.Connection]:
+    """A connection that can only read, without a transaction that stays.
+
+    Raises:
+        InputError: It is no store, or is damaged.
+    """
+    try:
+        with closing(_reader(path)) as file:
+            yield file
+    except (sqlite3.Error, LookupError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
 
 
 def _track(

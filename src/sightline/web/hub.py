@@ -10,12 +10,25 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Protocol
 
 from sightline.moment import Moment
 from sightline.text import encodable_text
 from sightline.web.memory import TrackMemory
 
 _QUEUE = 2
+
+
+class Kept(Protocol):
+    """What was published before, as a store has it."""
+
+    def extent_utc_s(self) -> tuple[float, float] | None:
+        """Times of the first and the last moment; None where there is none."""
+
+    def moments(self, from_utc_s: float, seconds: float, step_s: float) -> list[Moment]:
+        """Moments of a part of the time, one a step."""
+
+
 _SILENT_S = 30.0
 # Each metric, the key of a line or zone that it has, and which way that is.
 _COUNTED = {
@@ -97,6 +110,7 @@ class Hub:
         self.shore = shore
         self.store = store
         self.boundaries: Mapping[str, object] | None = None
+        self.kept: Kept | None = None
         self.memory = TrackMemory()
         self.newest: Moment | None = None
         self.listeners: set[Listener] = set()
