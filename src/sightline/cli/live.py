@@ -616,11 +616,9 @@ def _check_addresses(table: LiveTable) -> None:
         InputError: One is.
     """
     if table.server.address is not None:
-        host, colon, port = table.server.address.rpartition(":")
-        if not colon or not host or not port.isdecimal() or not int(port) < 65536:
-            raise InputError(
-                f"--serve {table.server.address!r}: expected HOST:PORT, for example 127.0.0.1:8080"
-            )
+        from sightline.addresses import parse_address
+
+        parse_address(table.server.address)
     if table.ais.source is not None:
         from sightline.live.ais import check_ais
 

@@ -19,11 +19,11 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from sightline.addresses import Address
 from sightline.errors import InputError
 from sightline.formats import AisReport, AisStream
 from sightline.geodesy import LocalPlane
@@ -324,15 +324,12 @@ def check_ais(address: str) -> None:
         if not Path(address).is_file():
             raise InputError(f"{address}: there is no such file of AIS sentences")
         return
-    parts = urlsplit(address)
-    try:
-        port = parts.port
-    except ValueError:
-        port = None
-    if parts.scheme not in ("tcp", "udp") or not parts.hostname or port is None:
-        raise InputError(
-            f"--ais {address!r}: expected a file that grows, tcp://HOST:PORT or udp://HOST:PORT"
-        )
+    _parsed(address)
+
+
+def _parsed(address: str) -> Address:
+    ports = {"tcp": None, "udp": None}
+    return Address.parse(address, ports, feed="--ais", or_else="a file that grows")
 
 
 class AisReceiver:
@@ -387,16 +384,14 @@ class AisReceiver:
         if "://" not in self._address:
             yield from self._of_file()
             return
-        parts = urlsplit(self._address)
-        assert parts.hostname is not None, "checked"
-        assert parts.port is not None, "checked"
+        parts = _parsed(self._address)
         if parts.scheme == "udp":
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
                 receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                receiver.bind((parts.hostname, parts.port))
+                receiver.bind((parts.host, parts.port))
                 yield from self._received(receiver, datagrams=True)
             return
-        with socket.create_connection((parts.hostname, parts.port), timeout=5.0) as receiver:
+        with socket.create_connection((parts.host, parts.port), timeout=5.0) as receiver:
             yield from self._received(receiver, datagrams=False)
 
     def _received(self, receiver: socket.socket, *, datagrams: bool) -> Iterator[tuple[str, bool]]:

@@ -24,6 +24,7 @@ from sightline.live.state import LiveState, StateSettings
 from sightline.live.store import Keeper
 from sightline.moment import Feed, Moment
 from sightline.pipeline.camera_state import CameraMotionMonitor
+from sightline.threads import on_one_thread
 from sightline.types import Frame
 from sightline.video.mask import GREY, Mask
 from sightline.water import WaterLevels
@@ -160,6 +161,7 @@ class LiveRun:
             self._camera = camera
             self.state.change(camera.targets, camera.area)
 
+    @on_one_thread
     def run(self, stop: threading.Event) -> None:
         """Watch until ``stop`` is set, or the source has ended.
 

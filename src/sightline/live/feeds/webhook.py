@@ -14,8 +14,8 @@ import time
 from collections import deque
 from collections.abc import Mapping
 
+from sightline.addresses import Address
 from sightline.errors import InputError
-from sightline.live.feeds.address import Address
 from sightline.moment import Alert, Moment
 from sightline.text import terminal_text
 
