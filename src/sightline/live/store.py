@@ -36,7 +36,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 from urllib.parse import quote
 
 import numpy as np
@@ -57,6 +57,25 @@ _MOST_TARGETS = 2000
 _DAY_US = 86_400_000_000
 _CHECKS_US = 30 * _DAY_US
 _DELETED_AT_ONCE = 5000
+
+_Measure = float | None
+_PointRow = tuple[
+    int,
+    int,
+    float,
+    float,
+    float,
+    float,
+    float,
+    _Measure,
+    _Measure,
+    int,
+    int,
+    int | None,
+    str | None,
+    _Measure,
+    str | None,
+]
 
 Row = Alert | AisCheck
 """What is kept besides moments."""
@@ -461,7 +480,7 @@ class KeptMoments:
         return found
 
 
-def _moment(camera: str, rows: list[tuple[Any, ...]]) -> Moment:
+def _moment(camera: str, rows: Sequence[_PointRow]) -> Moment:
     targets = tuple(
         TargetState(
             id=row[1],
