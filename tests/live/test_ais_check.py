@@ -21,6 +21,7 @@ from sightline.live.store import Store
 from sightline.live.view import View
 from sightline.moment import Moment
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
+from sightline.video.mask import Mask
 
 LASTING = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="first")
 
@@ -125,6 +126,10 @@ def test_identities_are_told_and_vessels_that_nobody_sees(
     assert "GHOST" in [one["name"] for one in message["vessels_without_target"]]
     figures = matcher.figures()
     assert figures["without_target"] == len(last.unseen)
+    # Where nothing is looked for, nobody is missed.
+    matcher.change(View(model, mask=Mask(np.ones((720, 1280), dtype=bool))))
+    later = matcher.identify(replace(last, time_utc_s=last.time_utc_s + 3.0, unseen=None))
+    assert later.unseen == ()
     assert figures["in_view"] >= 1  # type: ignore[operator]
 
 

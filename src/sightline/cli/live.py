@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from sightline.live.run import Camera, LiveRun
     from sightline.live.source import CameraSource, PlayedSource, SourceEvent
     from sightline.live.store import Keeper, Store
+    from sightline.live.view import View
     from sightline.moment import Feed
     from sightline.web.hub import Hub
     from sightline.web.server import LiveServer
@@ -234,6 +235,7 @@ class _Session:
 
         self._table, self._stack = table, stack
         self._hub: Hub | None = None
+        self._matcher: AisMatcher | None = None
         self._address = table.source.address or ""
         self._name = without_secrets(self._address)
         self._model: Georeferencer = load_model(Path(table.model or ""))
@@ -375,6 +377,8 @@ class _Session:
             run.remove_feed(feeds.pop(key)[0])
         feeds.update(new)
         run.change(camera)
+        if self._matcher is not None:
+            self._matcher.change(self._view_of(camera))
         if keeper is not None:
             keeper.change(table.store.retention_days)
         if self._hub is not None:
@@ -530,13 +534,18 @@ class _Session:
     def _made_matcher(self, store: Store | None) -> AisMatcher:
         from sightline.live.ais import AisMatcher
         from sightline.live.ais_check import ModelCheck
-        from sightline.live.view import View
 
-        camera, level_m = self._camera, self._table.water_level_m
-        view = View(self._model, area=camera.area, mask=camera.mask, water_level_m=level_m)
+        level_m, view = self._table.water_level_m, self._view_of(self._camera)
         before = store.checks() if store is not None else []
         check = ModelCheck(self._model, water_level_m=level_m, before=before, told=self.told)
-        return AisMatcher(self._model.plane, view=view, check=check, told=self.told)
+        self._matcher = AisMatcher(self._model.plane, view=view, check=check, told=self.told)
+        return self._matcher
+
+    def _view_of(self, camera: Camera) -> View:
+        from sightline.live.view import View
+
+        level_m = camera.water_level_m
+        return View(self._model, area=camera.area, mask=camera.mask, water_level_m=level_m)
 
     def _tried(self, kind: _Kind, url: str) -> str:
         from sightline.text import without_secrets

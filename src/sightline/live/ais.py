@@ -143,6 +143,10 @@ class AisMatcher:
         """Number of vessels."""
         return len(self._vessels)
 
+    def change(self, view: View) -> None:
+        """Miss vessels in another view from now on; from any thread."""
+        self._view = view
+
     def figures(self) -> dict[str, object]:
         """What health tells: vessels, those in view and those without a target."""
         told: dict[str, object] = {"vessels": len(self._vessels), **self._counts}
@@ -232,13 +236,14 @@ class AisMatcher:
 
     def _miss(self, moment: Moment, vessels: dict[int, tuple[FloatArray, float]]) -> None:
         """Note which vessels are in view without a target."""
-        if self._view is None:
+        view = self._view
+        if view is None:
             return
         now_s, taken = moment.time_utc_s, {mmsi for mmsi, _ in self._named.values()}
         numbers = [m for m, (_, variance) in vessels.items() if variance <= _CERTAIN_M**2]
         places = np.array([vessels[m][0] for m in numbers]).reshape(-1, 2)
         latitude, longitude = self._plane.to_geographic(places[:, 0], places[:, 1])
-        inside = self._view.holds(latitude, longitude)
+        inside = view.holds(latitude, longitude)
         missing: dict[int, UnseenVessel] = {}
         for k, mmsi in enumerate(numbers):
             variance = vessels[mmsi][1]
