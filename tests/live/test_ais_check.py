@@ -172,10 +172,11 @@ def _judged(offs_m: list[float]) -> list[str]:
 
 
 def test_errors_that_grow_are_told_once_and_those_that_do_not_are_not() -> None:
-    rng = np.random.default_rng(4)
     # By the ellipse and the hull: sqrt(4 + 25) m, so that 5.4 m is one standard deviation.
-    usual = (5.4 * rng.standard_normal(40)).tolist()
-    assert _judged(usual) == []
+    for seed in range(10):
+        usual = (5.4 * np.random.default_rng(seed).standard_normal(40)).tolist()
+        assert _judged(usual) == []
+    assert _judged([*usual[:30], 20.0, *usual[30:39]]) == []
     (said,) = _judged(usual[:20] + [20.0] * 10)
     assert said.startswith("errors-grown: of the last 10 passages with AIS 10 lie outside")
     # Inside of their ellipses, but not as they were.

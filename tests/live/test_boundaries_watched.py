@@ -124,6 +124,14 @@ def test_noise_at_the_border_is_no_traffic(state: State) -> None:
     assert len(_seen(watch, paths).alerts) <= (0 if state == "moored" else 1)
 
 
+def test_what_lies_still_crosses_nothing_however_its_place_is_corrected() -> None:
+    for state, count in (("moored", 0), ("measured", 2)):
+        watch = BoundaryWatch(PLANE, lines=GATE, zones=BASIN)
+        places = [-20.0] * 5 + [100.0] * 5
+        paths = [[_target(x, 50.0, state=state)] for x in places]
+        assert len(_seen(watch, paths).alerts) == count
+
+
 def test_what_appears_inside_has_not_entered_and_what_vanishes_has_not_left() -> None:
     watch = BoundaryWatch(PLANE, zones=BASIN)
     paths = [[_target(100.0, 50.0)] for _ in range(30)]
