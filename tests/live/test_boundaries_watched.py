@@ -139,11 +139,20 @@ def test_what_appears_inside_has_not_entered_and_what_vanishes_has_not_left() ->
     assert seen.boundaries is not None
     (basin,) = seen.boundaries
     assert (basin.inside, basin.entries, basin.longest_dwell_s) == (1, 0, 29.0)
+    moment = watch.update(Moment(START_S + 35.0, "sender", "quay", ()))
+    assert moment.boundaries is not None
+    (basin,) = moment.boundaries
+    assert (basin.inside, basin.longest_dwell_s, basin.mean_dwell_s) == (0, None, None)
+    # It comes back, and has been there all the time.
+    moment = watch.update(Moment(START_S + 40.0, "sender", "quay", (_target(100.0, 50.0),)))
+    assert moment.boundaries is not None
+    (basin,) = moment.boundaries
+    assert (basin.inside, basin.longest_dwell_s) == (1, 40.0)
     moment = watch.update(Moment(START_S + 120.0, "sender", "quay", ()))
     assert moment.alerts == ()
     assert moment.boundaries is not None
     (basin,) = moment.boundaries
-    assert (basin.inside, basin.exits, basin.mean_dwell_s) == (0, 0, 29.0)
+    assert (basin.inside, basin.exits, basin.mean_dwell_s) == (0, 0, 40.0)
 
 
 def test_a_speed_that_is_not_sure_is_not_told() -> None:

@@ -245,7 +245,8 @@ class BoundaryWatch:
                     self._end_stay(watched, side, side.time_utc_s)
         if not watched.is_zone:
             return
-        inside = [side for side in watched.sides.values() if side.right]
+        # One that has gone may come back as the same, but is not there meanwhile.
+        inside = [side for number, side in watched.sides.items() if side.right and number in here]
         begun = [side.since_utc_s for side in inside if side.since_utc_s is not None]
         watched.counts = replace(
             watched.counts,
