@@ -4,6 +4,8 @@ Where a command can end with what it has (`stoppable`), and has something, the f
 sets an event. Else, and from the second on, the command is broken off where it stands; nothing half
 is left, since files get their names when they are whole.
 
+A service reads its configuration again when it is sent SIGHUP, unless its terminal was closed.
+
 Nothing here loads a library, so that it is in place before any other module is.
 """
 
@@ -27,6 +29,8 @@ class _Asked:
     def __init__(self) -> None:
         self.number = 0
         self.event: Stop | None = None
+        self.reread: threading.Event | None = None
+        self.has_terminal = False
         self.broken_off = False
 
 
@@ -70,8 +74,11 @@ def installed() -> Iterator[None]:
 
 
 @contextmanager
-def stoppable() -> Iterator[Stop]:
+def stoppable(reread: threading.Event | None = None) -> Iterator[Stop]:
     """An event that the first signal sets while the block lasts, instead of breaking it off.
+
+    Args:
+        reread: Is set by SIGHUP, which then stops nothing; None: it asks to stop as well.
 
     Before something was seen of the source, there is nothing to end, and it is broken off.
 
@@ -83,11 +90,12 @@ def stoppable() -> Iterator[Stop]:
     ignored = main and signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     if ignored:
         signal.signal(signal.SIGINT, _hear)
-    _asked.event = event
+    _asked.event, _asked.reread = event, reread
+    _asked.has_terminal = _terminal_is_there()
     try:
         yield event
     finally:
-        _asked.event = None
+        _asked.event = _asked.reread = None
         if ignored:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -102,7 +110,20 @@ def status() -> int:
     return 128 + (_asked.number or signal.SIGINT)
 
 
+def _terminal_is_there() -> bool:
+    try:
+        os.close(os.open("/dev/tty", os.O_RDWR))
+    except OSError:
+        return False
+    return True
+
+
 def _hear(number: int, _frame: FrameType | None) -> None:
+    # A terminal that was closed has gone; a service had none.
+    hung_up = _asked.has_terminal and not _terminal_is_there()
+    if number == getattr(signal, "SIGHUP", None) and _asked.reread is not None and not hung_up:
+        _asked.reread.set()
+        return
     _asked.number = number
     event = _asked.event
     if event is not None and event.begun and not event.is_set():

@@ -75,6 +75,24 @@ def test_tables_carry_everything(tmp_path: Path, suffix: str) -> None:
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+def test_parquet_is_read_as_geoparquet(tmp_path: Path) -> None:
+    """By geopandas, which takes the geometry and its system of coordinates from the metadata."""
+    geopandas = pytest.importorskip("geopandas", reason="needs sightline[geopackage]")
+    pytest.importorskip("pyarrow", reason="needs sightline[parquet]")
+    path = tmp_path / "tracks.parquet"
+    written = [make_track(0, 4, 3, ""), make_track(1, 1, 9, "ferry")]
+    write_tracks(written, path)
+    table = geopandas.read_parquet(path)
+    assert table.crs.to_authority() == ("OGC", "CRS84")
+    assert set(table.geometry.geom_type) == {"Point"}
+    np.testing.assert_array_equal(table.geometry.x, table["longitude_deg"])
+    np.testing.assert_array_equal(table.geometry.y, table["latitude_deg"])
+    np.testing.assert_allclose(table.geometry.y[:4], written[0].latitude_deg, rtol=0, atol=6e-10)
+    # Without points it is one as well.
+    write_tracks([], tmp_path / "none.parquet")
+    assert len(geopandas.read_parquet(tmp_path / "none.parquet")) == 0
+
+
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 12),

@@ -3,7 +3,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -55,13 +57,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Live:
     """The command in a process of its own."""
 
-    def __init__(self, *arguments: object, environment: dict[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        *arguments: object,
+        environment: dict[str, str] | None = None,
+        new_session: bool = False,
+    ) -> None:
         self.process = subprocess.Popen(
             [sys.executable, "-m", "sightline", "live", *map(str, arguments)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, **(environment or {})},
+            start_new_session=new_session,
         )
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str, str]:
@@ -172,6 +180,8 @@ BAD_TABLES = [
     ("camera = 3", "camera"),
     ("= 3", "is no TOML"),
     ('[feeds]\nnmea = ["harbour"]', "is no address"),
+    ("[boundaries]\nspeed_mps = 0", "boundaries.speed_mps"),
+    ('[boundaries]\nlines = "none.geojson"', "none.geojson"),
     ('[server]\naddress = "8080"', "expected HOST:PORT"),
 ]
 
@@ -227,6 +237,29 @@ def test_bad_input_is_one_line(
         assert "secret" not in out + err
 
 
+def test_the_unit_of_the_documentation_is_one_that_systemd_takes(tmp_path: Path) -> None:
+    verify = shutil.which("systemd-analyze")
+    if verify is None:
+        pytest.skip("there is no systemd-analyze")
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "watch-live.md"
+    (text,) = re.findall(r"^```ini\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    assert "ExecReload=/bin/kill -HUP $MAINPID" in text
+    unit = tmp_path / "sightline-dock.service"
+    # Nobody has installed it here, nor made a user for it.
+    unit.write_text(text.replace("/opt/sightline/bin/sightline", "/bin/true"), encoding="utf-8")
+    done = subprocess.run(
+        [verify, "verify", "--man=no", str(unit)], capture_output=True, text=True, timeout=60
+    )
+    said = [line for line in done.stderr.splitlines() if unit.name in line]
+    assert said == []
+    unit.write_text(text.replace("NoNewPrivileges=yes", "NoNewPrivilege=yes"), encoding="utf-8")
+    done = subprocess.run(
+        [verify, "verify", "--man=no", str(unit)], capture_output=True, text=True, timeout=60
+    )
+    if "NoNewPrivilege" not in done.stderr:
+        pytest.skip(f"systemd-analyze checks nothing here: {done.stderr.strip()[-200:]}")
+
+
 def test_the_configuration_of_the_documentation_is_read(tmp_path: Path) -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "watch-live.md"
     (text,) = re.findall(r"^```toml\n(.*?)^```", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
@@ -237,3 +270,68 @@ def test_the_configuration_of_the_documentation_is_read(tmp_path: Path) -> None:
     assert table.model == str(tmp_path / "dock.safetensors")
     assert table.source.options == {"rtsp_transport": "udp"}
     assert table.feeds.nmea == ["tcp://0.0.0.0:10110"]
+
+
+@pytest.mark.slow
+def test_the_configuration_is_read_again_when_asked(
+    folder: Path, tmp_path: Path, camera: HttpCamera
+) -> None:
+    address = f"http://127.0.0.1:{camera.port}/video"
+    log, config = tmp_path / "log.jsonl", tmp_path / "live.toml"
+    port = free_port()
+    content = (
+        f'camera = "quay"\nmodel = "{folder / "model.safetensors"}"\n'
+        f'[source]\naddress = "{address}"\ncredentials = "{folder / "password"}"\n'
+        f'silent_s = SILENT\n[detector]\nname = "motion"\n[log]\nfile = "log.jsonl"\n'
+        f"[targets]\ngone_s = GONE\n[feeds]\nnmea = [FEEDS]\n"
+    )
+
+    def write(silent: str, gone: str, feeds: str = "", more: str = "") -> None:
+        text = content.replace("SILENT", silent).replace("GONE", gone).replace("FEEDS", feeds)
+        config.write_text(text + more, encoding="utf-8")
+
+    write("2.0", "20.0")
+    # A service has no terminal.
+    live = Live("--config", config, new_session=True)
+
+    def texts(kind: str) -> list[str]:
+        lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
+        told = [json.loads(line) for line in lines]
+        return [one["text"] for one in told if one["event"] == kind]
+
+    def again(kind: str) -> str:
+        before = len(texts(kind))
+        live.process.send_signal(signal.SIGHUP)
+        until(lambda: len(texts(kind)) > before)
+        return texts(kind)[-1]
+
+    until(lambda: bool(texts("connected")))
+    listening = f'"tcp://127.0.0.1:{port}"'
+    write("3.0", "30.0", listening)
+    assert again("reloaded") == (
+        "changed: feeds.nmea, targets.gone_s; only a restart changes source.silent_s"
+    )
+    with socket.create_connection(("127.0.0.1", port), timeout=5.0):
+        pass
+    # What is broken changes nothing, and says so.
+    write("3.0", "-1.0", listening)
+    assert again("not-reloaded").endswith("all stays as it was")
+    assert "targets.gone_s" in texts("not-reloaded")[-1]
+    write("3.0", "30.0", listening, f'[boundaries]\nlines = "{tmp_path / "none.geojson"}"\n')
+    assert "none.geojson" in again("not-reloaded")
+    with socket.create_connection(("127.0.0.1", port), timeout=5.0):
+        pass
+    write("2.0", "30.0")
+    assert again("reloaded") == "changed: feeds.nmea"
+
+    def refused() -> bool:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
+        except ConnectionRefusedError:
+            return True
+        return False
+
+    until(refused)
+    status, _, err = live.end()
+    assert status == 0, err
+    assert "Traceback" not in err

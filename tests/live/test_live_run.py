@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.lines import Lines
@@ -173,6 +174,23 @@ def test_frames_become_moments_that_are_published_and_kept(
         ]
         assert min(off) < 0.08
     assert told == []
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+def test_linear_algebra_takes_one_thread(model: Georeferencer, harbour: Harbour) -> None:
+    _, times = _camera(model, harbour)
+    seen: set[int] = set()
+
+    class Counts(Knows):
+        def detect(self, frame: Frame) -> Boxes:
+            pools = [one for one in threadpool_info() if one["user_api"] == "blas"]
+            seen.update(one["num_threads"] for one in pools)
+            return Boxes.of([])
+
+    with threadpool_limits(2, user_api="blas"):
+        counting = Camera("quay", model, Counts(Boxes.of([])))
+        LiveRun(Scripted(times[:3]), counting).run(threading.Event())
+    assert seen == {1}
 
 
 @pytest.mark.usefixtures("no_thread_is_left")

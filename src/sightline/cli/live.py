@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import logging
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -30,17 +34,26 @@ from sightline.errors import InputError, SightlineError
 from sightline.stopping import Stop, call
 
 if TYPE_CHECKING:
+    from sightline.detection import Detector
     from sightline.georeferencing.georeferencer import Georeferencer
+    from sightline.live.ais import AisMatcher
+    from sightline.live.boundaries import BoundaryWatch
     from sightline.live.config import LiveTable
     from sightline.live.journal import Journal
-    from sightline.live.run import Camera
+    from sightline.live.run import Camera, LiveRun
     from sightline.live.source import CameraSource, PlayedSource, SourceEvent
-    from sightline.live.store import Store
+    from sightline.live.store import Keeper, Store
+    from sightline.live.view import View
     from sightline.moment import Feed
+    from sightline.web.hub import Hub
     from sightline.web.server import LiveServer
 
-_Kind = Literal["nmea", "signalk", "cot", "mqtt"]
-_KINDS: tuple[_Kind, ...] = ("nmea", "signalk", "cot", "mqtt")
+    _Feeds = dict[tuple[str, str], tuple[str, Feed]]
+
+_Kind = Literal["nmea", "signalk", "cot", "mqtt", "webhook"]
+_KINDS: tuple[_Kind, ...] = ("nmea", "signalk", "cot", "mqtt", "webhook")
+
+_LOOKS_APART_S = 0.5
 
 _Addresses = list[str] | None
 
@@ -83,6 +96,17 @@ def live(
     signalk: Annotated[_Addresses, _feed_option("--signalk", "Signal K deltas.")] = None,
     cot: Annotated[_Addresses, _feed_option("--cot", "Cursor-on-Target, for TAK.")] = None,
     mqtt: Annotated[_Addresses, _feed_option("--mqtt", "One message a moment.")] = None,
+    webhook: Annotated[
+        _Addresses, _feed_option("--webhook", "A POST an alert: http://, https://.")
+    ] = None,
+    lines: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="GeoJSON LineString features, crossings are counted."),
+    ] = None,
+    zones: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="GeoJSON Polygon features, stays are counted."),
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Try source, model and outputs, and watch nothing.")
     ] = False,
@@ -138,44 +162,65 @@ def live(
 
     Ctrl-C or SIGTERM ends it within three seconds; what is kept is finished.
     """
-    with signals.stoppable() as stop:
-        # There is always something to finish.
-        stop.begun = True
+    options: list[tuple[str, dict[str, object]]] = [
+        ("source", {"address": source, "credentials": credentials, "speed": speed}),
+        ("source", {"frame_clock": clock, "start_utc": start_utc, "as_live": as_live or None}),
+        ("detector", {"name": detector, "threshold": threshold, "views": views}),
+        ("detector", {"enlarge": enlarge, "budget_ms": budget}),
+        ("detector", {"classes": classes.split(",") if classes else None}),
+        ("store", {"file": store}),
+        ("server", {"address": serve, "token_file": token_file, "shore": shore}),
+        ("ais", {"source": ais}),
+        ("log", {"file": log}),
+        ("feeds", {"nmea": nmea, "signalk": signalk, "cot": cot, "mqtt": mqtt}),
+        ("feeds", {"webhook": webhook}),
+        ("boundaries", {"lines": lines, "zones": zones}),
+        ("", {"model": model, "camera": camera, "mask": mask}),
+        ("", {"area": [str(path) for path in area] if area else None}),
+    ]
+
+    def read() -> LiveTable:
         from sightline.live.config import LiveTable, read_live_config
 
         table = read_live_config(config) if config is not None else LiveTable()
-        _override(table, "source", address=source, credentials=credentials, speed=speed)
-        _override(table, "source", frame_clock=clock, start_utc=start_utc, as_live=as_live or None)
-        _override(table, "detector", name=detector, threshold=threshold, views=views)
-        _override(table, "detector", enlarge=enlarge, budget_ms=budget)
-        _override(table, "detector", classes=classes.split(",") if classes else None)
-        _override(table, "store", file=store)
-        _override(table, "server", address=serve, token_file=token_file, shore=shore)
-        _override(table, "ais", source=ais)
-        _override(table, "log", file=log)
-        _override(table, "feeds", nmea=nmea, signalk=signalk, cot=cot, mqtt=mqtt)
-        _override(table, "", model=model, camera=camera, mask=mask)
-        _override(table, "", area=[str(path) for path in area] if area else None)
-        where = config or Path("live.toml")
-        if table.source.address is None:
-            raise InputError(
-                f"no source is given; give a camera's address, or address in {where} ([source])"
-            )
-        if table.model is None:
-            raise InputError(f"no model is given; give --model MODEL, or model in {where}")
-        check_model_is_there(Path(table.model))
+        for section, given in options:
+            _override(table, section, given)
+        _check_table(table, config or Path("live.toml"))
+        return table
+
+    reread = threading.Event() if config is not None else None
+    with signals.stoppable(reread) as stop:
+        # There is always something to finish.
+        stop.begun = True
+        table = read()
         with ExitStack() as stack:
             session = _Session(table, stack)
             if check:
                 session.check()
                 return
-            session.watch(stop)
+            session.watch(stop, reread, read)
 
 
-def _override(table: LiveTable, section: str, **options: object) -> None:
+def _check_table(table: LiveTable, where: Path) -> None:
+    """Raise for what can be seen to be wrong before anything is opened.
+
+    Raises:
+        InputError: Source or model are missing, or an address is none.
+    """
+    if table.source.address is None:
+        raise InputError(
+            f"no source is given; give a camera's address, or address in {where} ([source])"
+        )
+    if table.model is None:
+        raise InputError(f"no model is given; give --model MODEL, or model in {where}")
+    check_model_is_there(Path(table.model))
+    _check_addresses(table)
+
+
+def _override(table: LiveTable, section: str, given: Mapping[str, object]) -> None:
     """Put the options that were given into the place of what the configuration has."""
     where = getattr(table, section) if section else table
-    for name, value in options.items():
+    for name, value in given.items():
         if value is not None:
             setattr(where, name, str(value) if isinstance(value, Path) else value)
 
@@ -189,16 +234,17 @@ class _Session:
         from sightline.text import without_secrets
 
         self._table, self._stack = table, stack
+        self._hub: Hub | None = None
+        self._matcher: AisMatcher | None = None
         self._address = table.source.address or ""
         self._name = without_secrets(self._address)
-        _check_addresses(table)
         self._model: Georeferencer = load_model(Path(table.model or ""))
         self._journal: Journal = Journal(Path(table.log.file) if table.log.file else None)
         stack.callback(self._journal.close)
         handler = JournalHandler(self._journal)
         logging.getLogger("sightline").addHandler(handler)
         stack.callback(logging.getLogger("sightline").removeHandler, handler)
-        self._camera = self._made_camera()
+        self._camera = self._made_camera(table)
         self._source = self._made_source()
         stack.callback(self._source.close)
 
@@ -229,11 +275,19 @@ class _Session:
             raise InputError("; ".join(wrong))
         say("all is well")
 
-    def watch(self, stop: Stop) -> None:
-        """Watch until somebody asks to stop."""
-        from sightline.live.ais import AisMatcher, AisReceiver
+    def watch(
+        self, stop: Stop, reread: threading.Event | None, read: Callable[[], LiveTable]
+    ) -> None:
+        """Watch until somebody asks to stop.
+
+        Args:
+            stop: Is set by whoever asks.
+            reread: Is set by whoever wants the configuration to be read again.
+            read: Reads it.
+        """
+        from sightline.live.ais import AisReceiver
         from sightline.live.run import EarlierRun, LiveRun
-        from sightline.live.store import Keeper
+        from sightline.live.store import Keeper, KeptMoments
 
         table = self._table
         store = self._opened_store()
@@ -246,23 +300,18 @@ class _Session:
                 retention_days=table.store.retention_days,
                 told=lambda text: self.told("store", text),
             )
-        feeds: dict[str, Feed] = {}
-        for kind in _KINDS:
-            for url in getattr(table.feeds, kind):
-                feed = feeds[_free(kind, feeds)] = self._opened_feed(kind, url)
-                # Where it comes to nothing; closed by then, it does nothing.
-                self._stack.callback(feed.close)
+        feeds = self._opened_feeds(table, {})
         call(self._probed, stop)
         matcher = None
         if table.ais.source is not None:
-            matcher = AisMatcher(self._model.plane)
+            matcher = self._made_matcher(store)
             receiver = AisReceiver(table.ais.source, matcher)
             self._stack.callback(receiver.close)
             receiver.start()
         run = LiveRun(
             self._source,
             self._camera,
-            feeds=feeds,
+            feeds=dict(feeds.values()),
             keeper=keeper,
             earlier=earlier,
             told=self.told,
@@ -270,8 +319,18 @@ class _Session:
         )
         if table.server.address is not None:
             server = self._opened_server(run.health, run.picture)
+            watch = self._camera.boundaries
+            server.hub.boundaries = None if watch is None else watch.geojson()
+            if table.store.file is not None:
+                server.hub.kept = KeptMoments(Path(table.store.file))
             run.add_feed("page", server)
             server.start()
+            self._hub = server.hub
+        if reread is not None:
+            rereader = threading.Thread(
+                target=self._reread, args=(run, keeper, feeds, stop, reread, read), daemon=True
+            )
+            rereader.start()
         say(f"watching {self._name}; Ctrl-C ends it")
         run.run(stop)
         health = run.health()
@@ -280,6 +339,59 @@ class _Session:
             f"{health['frames_processed']} processed, {health['frames_left_out']} left out, "
             f"{health['reconnections']} reconnections"
         )
+
+    def _reread(
+        self,
+        run: LiveRun,
+        keeper: Keeper | None,
+        feeds: _Feeds,
+        stop: Stop,
+        reread: threading.Event,
+        read: Callable[[], LiveTable],
+    ) -> None:
+        """Take another configuration whenever that is asked for; a wrong one changes nothing."""
+        while not stop.is_set():
+            if not reread.wait(_LOOKS_APART_S):
+                continue
+            reread.clear()
+            try:
+                self.told("reloaded", self._change(run, keeper, feeds, read()))
+            except SightlineError as error:
+                self.told("not-reloaded", f"{error}; all stays as it was")
+            # Whatever it is, it is no reason for the camera not to be watched.
+            except Exception as error:
+                self.told("not-reloaded", f"{error!r}; all stays as it was")
+
+    def _change(self, run: LiveRun, keeper: Keeper | None, feeds: _Feeds, table: LiveTable) -> str:
+        """Watch as another configuration says; returns what that changes, in words."""
+        from sightline.live.config import changed_keys
+
+        at_once, later = changed_keys(self._table, table)
+        same = not any(key.startswith("detector.") for key in at_once)
+        camera = self._made_camera(table, self._camera.detector if same else None)
+        new = self._opened_feeds(table, feeds)
+        for name, feed in new.values():
+            run.add_feed(name, feed)
+        wanted = {(kind, url) for kind in _KINDS for url in getattr(table.feeds, kind)}
+        for key in [one for one in feeds if one not in wanted]:
+            run.remove_feed(feeds.pop(key)[0])
+        feeds.update(new)
+        run.change(camera)
+        if self._matcher is not None:
+            self._matcher.change(self._view_of(camera))
+        if keeper is not None:
+            keeper.change(table.store.retention_days)
+        if self._hub is not None:
+            watch = camera.boundaries
+            self._hub.boundaries = None if watch is None else watch.geojson()
+        self._camera = camera
+        # What wants a restart is told again until there is one.
+        for changed in at_once:
+            _set(self._table, changed, _get(table, changed))
+        told = f"changed: {', '.join(at_once) or 'nothing but what files hold'}"
+        if later:
+            told += f"; only a restart changes {', '.join(later)}"
+        return told
 
     def told(self, kind: str, text: str) -> None:
         """Log an event, and show it where nobody asked for a log on standard error."""
@@ -294,14 +406,13 @@ class _Session:
         width, height = self._model.image_size_px
         return f"{width} x {height}"
 
-    def _made_camera(self) -> Camera:
+    def _made_camera(self, table: LiveTable, detector: Detector | None = None) -> Camera:
         from sightline import formats
         from sightline.live.run import Camera
         from sightline.live.state import StateSettings
         from sightline.pipeline.sources import make_detector
         from sightline.video.mask import read_mask
 
-        table = self._table
         if self._model.moving:
             raise InputError(
                 f"{table.model}: is the model of a camera on a platform that moves, which cannot "
@@ -324,12 +435,28 @@ class _Session:
         return Camera(
             name=table.camera,
             model=self._model,
-            detector=make_detector(options.name or DEFAULT_DETECTOR, self._model, looking),
+            detector=detector
+            or make_detector(options.name or DEFAULT_DETECTOR, self._model, looking),
             mask=mask,
             area=formats.read_area([Path(one) for one in table.area]) if table.area else None,
             water_level_m=table.water_level_m,
             targets=StateSettings(**table.targets.model_dump()),
             silent_s=table.source.silent_s,
+            boundaries=self._made_boundaries(table),
+        )
+
+    def _made_boundaries(self, table: LiveTable) -> BoundaryWatch | None:
+        from sightline import formats
+        from sightline.live.boundaries import BoundaryLimits, BoundaryWatch
+
+        own = table.boundaries
+        if own.lines is None and own.zones is None:
+            return None
+        return BoundaryWatch(
+            self._model.plane,
+            lines=formats.read_lines(own.lines) if own.lines is not None else None,
+            zones=formats.read_zones(own.zones) if own.zones is not None else None,
+            limits=BoundaryLimits(own.speed_mps, own.dwell_s),
         )
 
     def _made_source(self) -> CameraSource | PlayedSource:
@@ -378,11 +505,47 @@ class _Session:
             )
         return f"{self._name}, {size_px[0]} x {size_px[1]} px"
 
+    def _opened_feeds(self, table: LiveTable, open_already: _Feeds) -> _Feeds:
+        """Those that are not open, by kind and URL, each with what it is called."""
+        made: _Feeds = {}
+        names = {name for name, _ in open_already.values()}
+        for kind in _KINDS:
+            for url in getattr(table.feeds, kind):
+                if (kind, url) in open_already or (kind, url) in made:
+                    continue
+                try:
+                    feed = self._opened_feed(kind, url)
+                except SightlineError:
+                    for _, other in made.values():
+                        other.close()
+                    raise
+                # Where it comes to nothing; closed by then, it does nothing.
+                self._stack.callback(feed.close)
+                made[kind, url] = _free(kind, names), feed
+                names.add(made[kind, url][0])
+        return made
+
     def _opened_feed(self, kind: _Kind, url: str) -> Feed:
         from sightline.live.feeds import open_feed
 
         feed: Feed = open_feed(url, kind=kind, camera=self._table.camera)
         return feed
+
+    def _made_matcher(self, store: Store | None) -> AisMatcher:
+        from sightline.live.ais import AisMatcher
+        from sightline.live.ais_check import ModelCheck
+
+        level_m, view = self._table.water_level_m, self._view_of(self._camera)
+        before = store.checks() if store is not None else []
+        check = ModelCheck(self._model, water_level_m=level_m, before=before, told=self.told)
+        self._matcher = AisMatcher(self._model.plane, view=view, check=check, told=self.told)
+        return self._matcher
+
+    def _view_of(self, camera: Camera) -> View:
+        from sightline.live.view import View
+
+        level_m = camera.water_level_m
+        return View(self._model, area=camera.area, mask=camera.mask, water_level_m=level_m)
 
     def _tried(self, kind: _Kind, url: str) -> str:
         from sightline.text import without_secrets
@@ -395,7 +558,13 @@ class _Session:
 
         if self._table.store.file is None:
             return None
-        return Store(self._table.store.file, camera=self._table.camera, plane=self._model.plane)
+        content = Path(self._table.model or "").read_bytes()
+        return Store(
+            self._table.store.file,
+            camera=self._table.camera,
+            plane=self._model.plane,
+            model=hashlib.sha256(content).hexdigest()[:16],
+        )
 
     def _tried_store(self) -> str:
         from sightline.live.store import check_store
@@ -435,9 +604,18 @@ class _Session:
         return f"http://{self._table.server.address}"
 
 
-def _free(kind: str, used: dict[str, Feed]) -> str:
-    number = sum(name == kind or name.startswith(f"{kind}-") for name in used)
-    return kind if number == 0 else f"{kind}-{number + 1}"
+def _free(kind: str, used: set[str]) -> str:
+    names = (kind if number == 1 else f"{kind}-{number}" for number in itertools.count(1))
+    return next(name for name in names if name not in used)
+
+
+def _get(table: LiveTable, key: str) -> object:
+    return reduce(getattr, key.split("."), table)
+
+
+def _set(table: LiveTable, key: str, value: object) -> None:
+    *sections, name = key.split(".")
+    setattr(reduce(getattr, sections, table), name, value)
 
 
 def _check_addresses(table: LiveTable) -> None:
@@ -447,11 +625,9 @@ def _check_addresses(table: LiveTable) -> None:
         InputError: One is.
     """
     if table.server.address is not None:
-        host, colon, port = table.server.address.rpartition(":")
-        if not colon or not host or not port.isdecimal() or not int(port) < 65536:
-            raise InputError(
-                f"--serve {table.server.address!r}: expected HOST:PORT, for example 127.0.0.1:8080"
-            )
+        from sightline.addresses import parse_address
+
+        parse_address(table.server.address)
     if table.ais.source is not None:
         from sightline.live.ais import check_ais
 

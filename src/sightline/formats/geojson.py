@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.formats import _files, _track_table
+from sightline.formats._features import FeatureWriter, feature_writer
 from sightline.text import encodable_text
 from sightline.types import Track
 
@@ -41,18 +42,15 @@ _FEATURE = (
 @contextmanager
 def geojson_track_writer(path: Path) -> Iterator[GeoJsonTrackWriter]:
     """Write tracks one at a time, a feature a point."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write('{"type": "FeatureCollection", "features": [')
-        yield GeoJsonTrackWriter(file)
-        file.write("\n]}\n")
+    with feature_writer(path) as features:
+        yield GeoJsonTrackWriter(features)
 
 
 class GeoJsonTrackWriter:
     """Adds tracks to an open GeoJSON file; see `geojson_track_writer`."""
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        self._separator = "\n"
+    def __init__(self, features: FeatureWriter) -> None:
+        self._features = features
 
     def add(self, track: Track) -> None:
         """Write one track."""
@@ -63,9 +61,7 @@ class GeoJsonTrackWriter:
         texts = [_values(columns[name]) for name in _COLUMNS]
         label = json.dumps(encodable_text(track.label)).replace("%", "%%")
         feature = _FEATURE % (json.dumps(track.track_id), label)
-        points = [feature % point for point in zip(*texts, strict=True)]
-        self._file.write(self._separator + ",\n".join(points))
-        self._separator = ",\n"
+        self._features.add(feature % point for point in zip(*texts, strict=True))
 
 
 def _values(column: NDArray[Any]) -> list[str]:

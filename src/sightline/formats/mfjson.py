@@ -6,32 +6,30 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
 
 from sightline.formats import _files
+from sightline.formats._features import FeatureWriter, feature_writer
 from sightline.text import json_text
 from sightline.types import Track, ellipses
+
+_SYSTEMS = (
+    '"crs": {"type": "Name", "properties": {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}, '
+    '"trs": {"type": "Name", "properties": {"name": "urn:ogc:data:time:iso8601"}}, '
+)
 
 
 @contextmanager
 def mfjson_track_writer(path: Path) -> Iterator[MfJsonTrackWriter]:
     """Write tracks one at a time, a moving point each."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write(
-            '{"type": "FeatureCollection", "crs": {"type": "Name", "properties": '
-            '{"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}}, "trs": {"type": "Name", "properties": '
-            '{"name": "urn:ogc:data:time:iso8601"}}, "features": ['
-        )
-        yield MfJsonTrackWriter(file)
-        file.write("\n]}\n")
+    with feature_writer(path, _SYSTEMS) as features:
+        yield MfJsonTrackWriter(features)
 
 
 class MfJsonTrackWriter:
     """Adds tracks to an open MF-JSON file; see `mfjson_track_writer`."""
 
-    def __init__(self, file: TextIO) -> None:
-        self._file = file
-        self._separator = "\n"
+    def __init__(self, features: FeatureWriter) -> None:
+        self._features = features
 
     def add(self, track: Track) -> None:
         """Write one track."""
@@ -63,5 +61,4 @@ class MfJsonTrackWriter:
             },
             "temporalProperties": [properties],
         }
-        self._file.write(self._separator + json_text(json.dumps(feature, allow_nan=False)))
-        self._separator = ",\n"
+        self._features.add([json_text(json.dumps(feature, allow_nan=False))])

@@ -16,18 +16,20 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from sightline.addresses import Address
 from sightline.errors import InputError
 from sightline.formats import AisReport, AisStream
 from sightline.geodesy import LocalPlane
-from sightline.moment import Moment, TargetState
+from sightline.live.ais_check import AisCheck, ModelCheck
+from sightline.live.view import View
+from sightline.moment import Moment, TargetState, UnseenVessel
 from sightline.tally import Tally
 from sightline.types import FloatArray
 
@@ -39,10 +41,18 @@ _FORGOTTEN_S = 600.0
 _PLACE_M = 10.0
 _LATE_S = 1.0
 _ACCELERATION_MPS2 = 0.05
+_STILL_MPS, _ADRIFT_MPS = 0.3, 0.1
 _DENSITY_PER_M2 = 1.0 / 300.0**2
 _BEST_LOG = 12.0
 _WORST_LOG = -30.0
 _NAMED = 0.5
+_HEARD_S = 120.0
+_UNDECIDED_S = 10.0
+_UNSEEN_S = 10.0
+_SURE_MATCH = 0.9
+# A vessel whose place is less certain may as well be out of view.
+_CERTAIN_M = 40.0
+_NEAR = 16.0
 _WAIT_S = 0.25
 _LONGEST_WAIT_S = 5.0
 _LONGEST_LINE = 4096
@@ -73,6 +83,9 @@ class _Vessel:
         if known:
             place = place + lag_s * velocity
             astray_m = 0.5 * _ACCELERATION_MPS2 * lag_s**2
+            if speed < _STILL_MPS:
+                # One that sets out says so.
+                astray_m = min(astray_m, _ADRIFT_MPS * abs(lag_s))
         else:
             astray_m = speed * abs(lag_s)
         return place, _PLACE_M**2 + (speed * _LATE_S) ** 2 + astray_m**2
@@ -81,14 +94,31 @@ class _Vessel:
 class AisMatcher:
     """Names the targets of moments by what vessels said of themselves."""
 
-    def __init__(self, plane: LocalPlane) -> None:
+    def __init__(
+        self,
+        plane: LocalPlane,
+        *,
+        view: View | None = None,
+        check: ModelCheck | None = None,
+        told: Callable[[str, str], None] | None = None,
+    ) -> None:
         """Begin without a vessel.
 
         Args:
             plane: Of the camera.
+            view: Of the camera; None: no vessel is missed.
+            check: Compares targets with the vessels that they are.
+            told: Is told of vessels that no target is: a kind, and a text.
         """
-        self._plane = plane
+        self._plane, self._view, self._check, self._told = plane, view, check, told
         self._lock = threading.Lock()
+        self._heard_utc_s = -np.inf
+        self._first_s: dict[int, float] = {}
+        self._alone: dict[int, bool] = {}
+        self._unseen_s: dict[int, float] = {}
+        self._told_of: set[int] = set()
+        self._unseen: tuple[UnseenVessel, ...] = ()
+        self._counts: dict[str, int] = {}
         self._vessels: dict[int, _Vessel] = {}
         self._evidence: dict[tuple[int, int], float] = {}
         self._named: dict[int, tuple[int, float]] = {}
@@ -100,32 +130,75 @@ class AisMatcher:
             vessel = self._vessels.setdefault(report.mmsi, _Vessel(report.mmsi))
             vessel.name = report.name or vessel.name
             if math.isfinite(report.time_utc_s):
+                self._heard_utc_s = max(self._heard_utc_s, report.time_utc_s)
                 kept = vessel.reports if vessel.reports is not None else deque(maxlen=200)
                 if not kept or report.time_utc_s > kept[-1].time_utc_s:
                     kept.append(report)
                 vessel.reports = kept
+        if self._check is not None:
+            # In the receiver's thread, where nobody waits for it.
+            self._check.judge()
 
     def __len__(self) -> int:
         """Number of vessels."""
         return len(self._vessels)
 
-    def identify(self, moment: Moment) -> Moment:
-        """The moment, its targets named where that is likelier than not."""
+    def change(self, view: View) -> None:
+        """Miss vessels in another view from now on; from any thread."""
+        self._view = view
+
+    def figures(self) -> dict[str, object]:
+        """What health tells: vessels, those in view and those without a target."""
+        told: dict[str, object] = {"vessels": len(self._vessels), **self._counts}
+        if self._check is not None:
+            told["accuracy"] = self._check.figures()
+        return told
+
+    def take_checks(self) -> list[AisCheck]:
+        """The comparisons of targets and vessels since this was asked last, to be kept."""
+        return [] if self._check is None else self._check.take_new()
+
+    def identify(self, moment: Moment, source: str = "") -> Moment:
+        """The moment, its targets named where that is likelier than not.
+
+        Args:
+            moment: The targets.
+            source: Who made the boxes, as the model knows them.
+        """
         with self._lock:
             step_s = moment.time_utc_s - self._looked_utc_s
-            if step_s >= _LOOKS_APART_S or step_s < 0.0:
+            look = step_s >= _LOOKS_APART_S or step_s < 0.0
+            if look:
                 self._look(moment, max(step_s, 0.0))
                 self._looked_utc_s = moment.time_utc_s
-            if not self._named:
-                return moment
-            return replace(moment, targets=tuple(map(self._with_name, moment.targets)))
+            named = replace(
+                moment,
+                targets=tuple(self._with_name(one, moment.time_utc_s) for one in moment.targets),
+                unseen=self._unseen,
+            )
+            if self._check is not None:
+                self._check.remember(named, source)
+                if look:
+                    self._compare()
+        return named
 
-    def _with_name(self, target: TargetState) -> TargetState:
+    def _with_name(self, target: TargetState, now_s: float) -> TargetState:
         told = self._named.get(target.id)
-        if told is None:
-            return target
-        mmsi, match = told
-        return replace(target, mmsi=mmsi, name=self._vessels[mmsi].name or None, match=match)
+        if told is not None:
+            mmsi, match = told
+            name = self._vessels[mmsi].name or None
+            return replace(target, mmsi=mmsi, name=name, match=match, identity="identified")
+        heard = now_s - self._heard_utc_s <= _HEARD_S
+        known_s = now_s - self._first_s.get(target.id, now_s)
+        if heard and known_s >= _UNDECIDED_S and self._alone.get(target.id, False):
+            return replace(target, identity="unidentified")
+        return target
+
+    def _compare(self) -> None:
+        assert self._check is not None, "the caller has looked"
+        for number, (mmsi, match) in self._named.items():
+            if match >= _SURE_MATCH:
+                self._check.compare(number, mmsi, list(self._vessels[mmsi].reports or ()))
 
     def _look(self, moment: Moment, step_s: float) -> None:
         """Weigh all targets against all vessels, and name those that are likely."""
@@ -150,9 +223,73 @@ class AisMatcher:
             if abs(value) > 1e-3 or pair[0] in here
         }
         self._named = self._decided(sorted(here), sorted(vessels))
+        self._first_s = {one: self._first_s.get(one, now_s) for one in here}
+        self._alone = {}
+        for number in here:
+            odds = [value for (one, _), value in self._evidence.items() if one == number]
+            # It is nobody's with the share that all vessels leave.
+            self._alone[number] = 1.0 / (1.0 + float(np.exp(odds).sum())) > 1.0 - _NAMED
+        self._miss(moment, vessels)
         old = [m for m, v in self._vessels.items() if m not in vessels and _is_over(v, now_s)]
         for mmsi in old:
             del self._vessels[mmsi]
+
+    def _miss(self, moment: Moment, vessels: dict[int, tuple[FloatArray, float]]) -> None:
+        """Note which vessels are in view without a target."""
+        view = self._view
+        if view is None:
+            return
+        now_s, taken = moment.time_utc_s, {mmsi for mmsi, _ in self._named.values()}
+        numbers = [m for m, (_, variance) in vessels.items() if variance <= _CERTAIN_M**2]
+        places = np.array([vessels[m][0] for m in numbers]).reshape(-1, 2)
+        latitude, longitude = self._plane.to_geographic(places[:, 0], places[:, 1])
+        inside = view.holds(latitude, longitude)
+        missing: dict[int, UnseenVessel] = {}
+        for k, mmsi in enumerate(numbers):
+            variance = vessels[mmsi][1]
+            if not inside[k] or mmsi in taken or self._may_be_seen(moment, places[k], variance):
+                continue
+            since_s = min(self._unseen_s.get(mmsi, now_s), now_s)
+            missing[mmsi] = UnseenVessel(
+                mmsi=mmsi,
+                name=self._vessels[mmsi].name or None,
+                latitude_deg=float(latitude[k]),
+                longitude_deg=float(longitude[k]),
+                sigma_m=math.sqrt(variance),
+                unseen_s=now_s - since_s,
+            )
+        self._unseen_s = {m: now_s - one.unseen_s for m, one in missing.items()}
+        self._unseen = tuple(one for one in missing.values() if one.unseen_s >= _UNSEEN_S)
+        self._counts = {
+            "in_view": int(inside.sum()),
+            "without_target": len(self._unseen),
+            "identified": len(self._named),
+            "unidentified": sum(
+                self._with_name(one, now_s).identity == "unidentified" for one in moment.targets
+            ),
+        }
+        new = {one.mmsi for one in self._unseen} - self._told_of
+        self._told_of = (self._told_of | new) & set(missing)
+        for one in self._unseen:
+            if one.mmsi in new and self._told is not None:
+                name = f"{one.name} ({one.mmsi})" if one.name else f"vessel {one.mmsi}"
+                self._told(
+                    "ais-without-target",
+                    f"{name} says that it is in view, at {one.latitude_deg:.5f}, "
+                    f"{one.longitude_deg:.5f}, and no target is seen there",
+                )
+
+    def _may_be_seen(self, moment: Moment, place: FloatArray, variance: float) -> bool:
+        """Whether a target that nobody is is near enough to be a vessel."""
+        for target in moment.targets:
+            if target.id in self._named:
+                continue
+            east, north = self._plane.to_plane(target.latitude_deg, target.longitude_deg)
+            off = np.array([float(east), float(north)]) - place
+            spread = np.asarray(target.covariance_m2) + variance * np.eye(2)
+            if float(off @ np.linalg.solve(spread, off)) < _NEAR:
+                return True
+        return False
 
     def _decided(self, ids: list[int], vessels: list[int]) -> dict[int, tuple[int, float]]:
         if not ids or not vessels:
@@ -192,15 +329,12 @@ def check_ais(address: str) -> None:
         if not Path(address).is_file():
             raise InputError(f"{address}: there is no such file of AIS sentences")
         return
-    parts = urlsplit(address)
-    try:
-        port = parts.port
-    except ValueError:
-        port = None
-    if parts.scheme not in ("tcp", "udp") or not parts.hostname or port is None:
-        raise InputError(
-            f"--ais {address!r}: expected a file that grows, tcp://HOST:PORT or udp://HOST:PORT"
-        )
+    _parsed(address)
+
+
+def _parsed(address: str) -> Address:
+    ports = {"tcp": None, "udp": None}
+    return Address.parse(address, ports, feed="--ais", or_else="a file that grows")
 
 
 class AisReceiver:
@@ -255,16 +389,14 @@ class AisReceiver:
         if "://" not in self._address:
             yield from self._of_file()
             return
-        parts = urlsplit(self._address)
-        assert parts.hostname is not None, "checked"
-        assert parts.port is not None, "checked"
+        parts = _parsed(self._address)
         if parts.scheme == "udp":
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
                 receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                receiver.bind((parts.hostname, parts.port))
+                receiver.bind((parts.host, parts.port))
                 yield from self._received(receiver, datagrams=True)
             return
-        with socket.create_connection((parts.hostname, parts.port), timeout=5.0) as receiver:
+        with socket.create_connection((parts.host, parts.port), timeout=5.0) as receiver:
             yield from self._received(receiver, datagrams=False)
 
     def _received(self, receiver: socket.socket, *, datagrams: bool) -> Iterator[tuple[str, bool]]:

@@ -92,6 +92,16 @@ class FeedsTable(Table):
     signalk: list[str] = []
     cot: list[str] = []
     mqtt: list[str] = []
+    webhook: list[str] = []
+
+
+class BoundariesTable(Table):
+    """`[boundaries]`; see `sightline.live.boundaries`."""
+
+    lines: str | None = None
+    zones: str | None = None
+    speed_mps: Annotated[float, Field(gt=0.0)] | None = None
+    dwell_s: Seconds | None = None
 
 
 class AisTable(Table):
@@ -120,6 +130,7 @@ class LiveTable(Table):
     store: StoreTable = StoreTable()
     server: ServerTable = ServerTable()
     feeds: FeedsTable = FeedsTable()
+    boundaries: BoundariesTable = BoundariesTable()
     ais: AisTable = AisTable()
     log: LogTable = LogTable()
 
@@ -133,6 +144,8 @@ _PATHS = (
     ("server", "token_file"),
     ("server", "shore"),
     ("log", "file"),
+    ("boundaries", "lines"),
+    ("boundaries", "zones"),
 )
 
 
@@ -191,6 +204,28 @@ def _first_problem(error: ValidationError) -> str:
     if isinstance(given, str | int | float | list):
         message += f"; it is {_shortened(without_secrets(repr(given)))}"
     return f"{where}: {message}"
+
+
+_CHANGEABLE = ("mask", "area", "detector.", "targets.", "feeds.", "boundaries.", "store.retention_")
+
+
+def changed_keys(before: LiveTable, after: LiveTable) -> tuple[list[str], list[str]]:
+    """Which keys are other ones: those that hold at once, and those that want a restart."""
+    old, new = (_flat(one.model_dump()) for one in (before, after))
+    every = sorted(key for key in new if new[key] != old[key])
+    at_once = [key for key in every if key.startswith(_CHANGEABLE)]
+    return at_once, [key for key in every if key not in at_once]
+
+
+def _flat(content: dict[str, object], before: str = "") -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in content.items():
+        # The options of FFmpeg are one value.
+        if isinstance(value, dict) and key != "options":
+            flat |= _flat(value, f"{before}{key}.")
+        else:
+            flat[f"{before}{key}"] = value
+    return flat
 
 
 def _shortened(text: str) -> str:

@@ -11,6 +11,7 @@ from sightline.moment import Feed, Moment
 from sightline.text import without_secrets
 
 _WAITING = 2
+_MOST_WITH_ALERTS = 200
 _TOLD_APART_S = 60.0
 
 
@@ -31,8 +32,12 @@ class _Line:
         with self._changed:
             self._waiting.append(moment)
             if len(self._waiting) > _WAITING:
-                self._waiting.popleft()
-                self.lost += 1
+                # What has happened is not told again by the next moment.
+                plain = (i for i, one in enumerate(self._waiting) if not one.alerts)
+                oldest = next(plain, None)
+                if oldest is not None or len(self._waiting) > _MOST_WITH_ALERTS:
+                    del self._waiting[oldest or 0]
+                    self.lost += 1
             self._changed.notify()
 
     def counts(self) -> dict[str, int]:
@@ -85,7 +90,20 @@ class Lines:
             told: Is told what is wrong with one, at most once a minute for each.
         """
         silent: Callable[[str], None] = lambda _: None  # noqa: E731
-        self._lines = [_Line(name, feed, told or silent) for name, feed in feeds.items()]
+        self._told = told or silent
+        self._lines = [_Line(name, feed, self._told) for name, feed in feeds.items()]
+
+    def add(self, name: str, feed: Feed) -> None:
+        """Begin a thread for one more."""
+        # Whole, since the pipeline may be going through them.
+        self._lines = [*self._lines, _Line(name, feed, self._told)]
+
+    def remove(self, name: str) -> None:
+        """Let one send what is left, and end its thread; returns at once."""
+        gone = [line for line in self._lines if line.name == name]
+        self._lines = [line for line in self._lines if line.name != name]
+        for line in gone:
+            line.ask_to_close()
 
     def publish(self, moment: Moment) -> None:
         """Hand a moment to all; returns at once."""

@@ -17,12 +17,14 @@ from sightline.camera.state import ObservedBoxes
 from sightline.detection import Detector
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.ais import AisMatcher
+from sightline.live.boundaries import BoundaryWatch
 from sightline.live.lines import Lines
 from sightline.live.source import LiveFrame, Source, SourceEvent
 from sightline.live.state import LiveState, StateSettings
 from sightline.live.store import Keeper
 from sightline.moment import Feed, Moment
 from sightline.pipeline.camera_state import CameraMotionMonitor
+from sightline.threads import on_one_thread
 from sightline.types import Frame
 from sightline.video.mask import GREY, Mask
 from sightline.water import WaterLevels
@@ -51,6 +53,7 @@ class Camera:
         water_level_m: How high the water stands, where the model needs it.
         targets: How targets are followed.
         silent_s: Without a frame for so long it counts as silent.
+        boundaries: Lines and zones that are watched.
     """
 
     name: str
@@ -61,6 +64,7 @@ class Camera:
     water_level_m: float | None = None
     targets: StateSettings = field(default_factory=StateSettings)
     silent_s: float = 5.0
+    boundaries: BoundaryWatch | None = None
 
 
 @dataclass(frozen=True)
@@ -119,6 +123,7 @@ class LiveRun:
         camera.model.check_water(camera.water_level_m is not None)
         if camera.water_level_m is not None:
             self._water = WaterLevels.constant(camera.water_level_m)
+        self._next_camera: Camera | None = None
         self._monitor = self._new_monitor()
         self._begun_s = time.monotonic()
         self._processed = self._failed = self._failed_in_a_row = 0
@@ -130,7 +135,33 @@ class LiveRun:
     def add_feed(self, name: str, feed: Feed) -> None:
         """Send moments to one more, from when it runs."""
         self._feeds[name] = feed
+        if self._lines is not None:
+            self._lines.add(name, feed)
 
+    def remove_feed(self, name: str) -> None:
+        """Send moments to one no more, which is closed."""
+        self._feeds.pop(name, None)
+        if self._lines is not None:
+            self._lines.remove(name)
+
+    def change(self, camera: Camera) -> None:
+        """Watch with something else, from the next frame on; from any thread.
+
+        Args:
+            camera: Of the same model, name and water level.
+        """
+        self._next_camera = camera
+
+    def _take_change(self) -> None:
+        camera, self._next_camera = self._next_camera, None
+        if camera is not None:
+            before = self._camera.boundaries
+            if camera.boundaries is not None and before is not None:
+                camera.boundaries.carry_on(before)
+            self._camera = camera
+            self.state.change(camera.targets, camera.area)
+
+    @on_one_thread
     def run(self, stop: threading.Event) -> None:
         """Watch until ``stop`` is set, or the source has ended.
 
@@ -155,6 +186,7 @@ class LiveRun:
                 if first and self.state.carry_on(self._earlier.state, live.frame.time_utc_s):
                     self._tell("carried-on", "the targets of the run before are carried on")
                 first = False
+                self._take_change()
                 self._process(live)
         finally:
             self._finish()
@@ -180,7 +212,8 @@ class LiveRun:
             if now_s >= self._state_due_s:
                 self._state_due_s = now_s + _STATE_EVERY_S
                 kept_state = self.state.to_json()
-            self._keeper.keep(moment, (), kept_state)
+            checks = [] if self._ais is None else self._ais.take_checks()
+            self._keeper.keep(moment, (), kept_state, [*moment.alerts, *checks])
         assert self._lines is not None, "made by `run`"
         self._lines.publish(moment)
         parts = self.state.smooth_next(moment.time_utc_s)
@@ -208,7 +241,9 @@ class LiveRun:
             frame_size_px=(width, height),
         )
         if self._ais is not None:
-            moment = self._ais.identify(moment)
+            moment = self._ais.identify(moment, str(boxes.source[0]) if len(boxes) else "")
+        if self._camera.boundaries is not None:
+            moment = self._camera.boundaries.update(moment)
         self._last = frame.image_bgr, moment
         return moment
 
@@ -266,7 +301,10 @@ class LiveRun:
         if self._lines is not None:
             told["feeds"] = self._lines.counts()
         if self._ais is not None:
-            told["ais_vessels"] = len(self._ais)
+            told["ais"] = self._ais.figures()
+        if self._camera.boundaries is not None:
+            states = self._camera.boundaries.states()
+            told["boundaries"] = [state.to_message() for state in states]
         if keeper is not None:
             known = np.isfinite(keeper.kept_utc_s)
             told["kept_utc_s"] = keeper.kept_utc_s if known else None

@@ -184,6 +184,10 @@ class LiveState:
         self._last_utc_s = float(then)
         return True
 
+    def change(self, settings: StateSettings, area: Area | None) -> None:
+        """Go on with other settings, and targets elsewhere."""
+        self._settings, self._area = settings, area
+
     def shift(self, step_s: float) -> None:
         """Carry on by a clock that was set by a step."""
         state = self._tracker.state()
@@ -310,6 +314,7 @@ class LiveState:
                     box_xyxy_px=target.box if seen else None,
                     confidence=target.confidence if seen else None,
                     velocity_sigma_mps=sigma_mps if known else None,
+                    label=target.label,
                 )
             )
         return tuple(found)

@@ -1,6 +1,6 @@
 """What live keeps: one SQLite file, which survives a program that is killed.
 
-The schema, version 1 (``PRAGMA user_version``; ``application_id`` 0x53474C54). Times are whole
+The schema, version 2 (``PRAGMA user_version``; ``application_id`` 0x53474C54). Times are whole
 microseconds since the epoch, UTC, by the clock that `Moment` says; places WGS 84; variances and
 covariance m², east and north.
 
@@ -14,6 +14,11 @@ point    time_us, target_id, latitude_deg, longitude_deg, east_m2, east_north_m2
 smoothed target_id, time_us, latitude_deg, longitude_deg, east_m2, east_north_m2, north_m2,
          velocity_east_mps, velocity_north_mps, kind (a `PointKind`), final (0 or 1): the track a
          few seconds behind, and what replaces it once the target has gone
+event    time_us, target_id, kind, boundary, direction, probability, speed_mps: what targets did at
+         lines and in zones (since version 2)
+passage  time_us, target_id, mmsi, model, east_m, north_m, velocity_east_mps, velocity_north_mps,
+         off_east_m, off_north_m, east_m2, east_north_m2, north_m2, x1_px, y1_px, x2_px, y2_px,
+         source: a target beside what its vessel reported, an `AisCheck` (since version 2)
 ======== ==========================================================================================
 
 The file is in WAL mode with ``synchronous=NORMAL``: what was committed outlives the program, though
@@ -29,7 +34,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 from urllib.parse import quote
@@ -39,16 +44,41 @@ import numpy as np
 from sightline.atomic import locked
 from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
+from sightline.live.ais_check import AisCheck
 from sightline.live.state import SmoothedPart
-from sightline.moment import Moment
+from sightline.moment import Alert, CaptureClock, Moment, State, TargetState
 from sightline.types import PointKind, Track
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 _APPLICATION_ID = 0x53474C54
-_STATES = ("measured", "predicted", "moored")
-_CAPTURES = ("sender", "arrival")
+_STATES: tuple[State, ...] = ("measured", "predicted", "moored")
+_CAPTURES: tuple[CaptureClock, ...] = ("sender", "arrival")
+_MOST_TARGETS = 2000
 _DAY_US = 86_400_000_000
+_CHECKS_US = 30 * _DAY_US
 _DELETED_AT_ONCE = 5000
+
+_Measure = float | None
+_PointRow = tuple[
+    int,
+    int,
+    float,
+    float,
+    float,
+    float,
+    float,
+    _Measure,
+    _Measure,
+    int,
+    int,
+    int | None,
+    str | None,
+    _Measure,
+    str | None,
+]
+
+Row = Alert | AisCheck
+"""What is kept besides moments."""
 
 _SCHEMA = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT) WITHOUT ROWID;
@@ -72,23 +102,42 @@ CREATE TABLE smoothed (
     PRIMARY KEY (target_id, time_us)
 ) WITHOUT ROWID;
 """
+_SCHEMA_2 = """
+CREATE TABLE event (
+    time_us INTEGER NOT NULL, target_id INTEGER NOT NULL, kind TEXT NOT NULL,
+    boundary TEXT NOT NULL, direction TEXT, probability REAL NOT NULL, speed_mps REAL
+);
+CREATE INDEX event_time ON event (time_us);
+CREATE TABLE passage (
+    time_us INTEGER NOT NULL, target_id INTEGER NOT NULL, mmsi INTEGER NOT NULL,
+    model TEXT NOT NULL, east_m REAL NOT NULL, north_m REAL NOT NULL,
+    velocity_east_mps REAL NOT NULL, velocity_north_mps REAL NOT NULL,
+    off_east_m REAL NOT NULL, off_north_m REAL NOT NULL,
+    east_m2 REAL NOT NULL, east_north_m2 REAL NOT NULL, north_m2 REAL NOT NULL,
+    x1_px REAL NOT NULL, y1_px REAL NOT NULL, x2_px REAL NOT NULL, y2_px REAL NOT NULL,
+    source TEXT NOT NULL, PRIMARY KEY (time_us, target_id, mmsi)
+) WITHOUT ROWID;
+"""
 
 
 class Store:
     """The store of a camera, open for writing by one thread; see the module for the schema."""
 
-    def __init__(self, path: str | os.PathLike[str], *, camera: str, plane: LocalPlane) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], *, camera: str, plane: LocalPlane, model: str = ""
+    ) -> None:
         """Open a store, or make it.
 
         Args:
             path: The file.
             camera: Name of the camera.
             plane: The plane of its tracks.
+            model: Tells the model from others, since what AIS says holds for one alone.
 
         Raises:
             InputError: The file is something else, of a newer version, or cannot be written.
         """
-        self.path = Path(path)
+        self.path, self.model = Path(path), model
         self._lock = _only_writer(self.path)
         try:
             made = not self.path.exists() or self.path.stat().st_size == 0
@@ -102,8 +151,13 @@ class Store:
             self._file.execute("PRAGMA synchronous = NORMAL")
             if made:
                 self._file.executescript(
-                    f"BEGIN; {_SCHEMA} PRAGMA application_id = {_APPLICATION_ID};"
+                    f"BEGIN; {_SCHEMA} {_SCHEMA_2} "
+                    f"PRAGMA application_id = {_APPLICATION_ID};"
                     f"PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
+                )
+            elif self._file.execute("PRAGMA user_version").fetchone() == (1,):
+                self._file.executescript(
+                    f"BEGIN; {_SCHEMA_2} PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
                 )
             with self._file:
                 self._put("camera", camera)
@@ -130,8 +184,9 @@ class Store:
         moments: Sequence[Moment],
         parts: Sequence[SmoothedPart] = (),
         state: dict[str, object] | None = None,
+        rows: Sequence[Row] = (),
     ) -> None:
-        """Keep moments and smoothed parts; they are kept once this returns, all or none.
+        """Keep moments, smoothed parts and rows; they are kept once this returns, all or none.
 
         Raises:
             sqlite3.Error: They cannot be written.
@@ -141,6 +196,8 @@ class Store:
                 self._keep_moment(moment)
             for part in parts:
                 self._keep_part(part)
+            for row in rows:
+                self._keep_row(row)
             if state is not None:
                 self._put("state", json.dumps(state))
 
@@ -167,7 +224,13 @@ class Store:
                 if done < _DELETED_AT_ONCE:
                     break
         with self._file:
-            self._file.execute("DELETE FROM target WHERE last_us < ?", (until_us,))
+            for table, column in (("target", "last_us"), ("event", "time_us")):
+                self._file.execute(
+                    f"DELETE FROM {table} WHERE {column} < ?",  # noqa: S608 - names of ours
+                    (until_us,),
+                )
+            # A model is judged over days that are longer than a short retention.
+            self._file.execute("DELETE FROM passage WHERE time_us < ?", (until_us - _CHECKS_US,))
         self._file.execute("PRAGMA incremental_vacuum").fetchall()
         return removed
 
@@ -229,6 +292,43 @@ class Store:
             "ON CONFLICT (id) DO UPDATE SET label = excluded.label",
             (track.track_id, times[0], times[-1], track.label),
         )
+
+    def _keep_row(self, row: Row) -> None:
+        time_us = _microseconds(row.time_utc_s)
+        if isinstance(row, Alert):
+            told = (time_us, row.target_id, row.kind, row.boundary, row.direction)
+            self._file.execute(
+                "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?)",
+                (*told, row.probability, row.speed_mps),
+            )
+            return
+        numbers = (*row.place_m, *row.velocity_mps, *row.off_m, *row.covariance_m2)
+        key = (time_us, row.target_id, row.mmsi, self.model)
+        self._file.execute(
+            "INSERT OR REPLACE INTO passage VALUES "
+            "(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (*key, *numbers, *row.box_xyxy_px, row.source),
+        )
+
+    def checks(self) -> list[AisCheck]:
+        """What AIS said of the model that is watched with, in the order of time."""
+        rows = self._file.execute(
+            "SELECT * FROM passage WHERE model = ? ORDER BY time_us", (self.model,)
+        ).fetchall()
+        return [
+            AisCheck(
+                time_utc_s=row[0] * 1e-6,
+                target_id=row[1],
+                mmsi=row[2],
+                place_m=row[4:6],
+                velocity_mps=row[6:8],
+                off_m=row[8:10],
+                covariance_m2=row[10:13],
+                box_xyxy_px=row[13:17],
+                source=row[17],
+            )
+            for row in rows
+        ]
 
     def _put(self, key: str, value: str) -> None:
         self._file.execute("INSERT OR REPLACE INTO meta VALUES (?, ?)", (key, value))
@@ -326,6 +426,94 @@ def stored_tracks(
         raise InputError(f"{path}: is damaged, or no store of sightline live ({error})") from error
 
 
+class KeptMoments:
+    """What was published, read from a store that may be written to at the same time.
+
+    Each answer is read in transactions of one moment, since a reader that stays lets the log grow.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take a store.
+
+        Args:
+            path: The file; it is only read.
+        """
+        self._path = path
+
+    def extent_utc_s(self) -> tuple[float, float] | None:
+        """Times of the first and the last moment with a target; None where there is none.
+
+        Raises:
+            InputError: The store cannot be read.
+        """
+        with _readable(self._path) as file:
+            first, last = file.execute("SELECT min(time_us), max(time_us) FROM point").fetchone()
+        return None if first is None else (first * 1e-6, last * 1e-6)
+
+    def moments(self, from_utc_s: float, seconds: float, step_s: float = 1.0) -> list[Moment]:
+        """Moments of a part of the time, one a step: the last that was published in it.
+
+        Args:
+            from_utc_s: POSIX seconds.
+            seconds: How long the part is.
+            step_s: How far apart moments are; steps in which nothing was published have none.
+
+        Raises:
+            InputError: The store cannot be read.
+        """
+        found = []
+        with _readable(self._path) as file:
+            told = file.execute("SELECT value FROM meta WHERE key = 'camera'").fetchone()
+            camera = str(told[0]) if told else ""
+            for k in range(int(np.ceil(seconds / step_s))):
+                low, high = (_microseconds(from_utc_s + n * step_s) for n in (k, k + 1))
+                rows = file.execute(
+                    "SELECT time_us, target_id, latitude_deg, longitude_deg, east_m2, "
+                    "east_north_m2, north_m2, speed_mps, course_deg, state, capture, mmsi, name, "
+                    "match, label FROM point LEFT JOIN target ON target.id = target_id "
+                    "WHERE time_us = (SELECT max(time_us) FROM point WHERE time_us >= ? "
+                    "AND time_us < ?) LIMIT ?",
+                    (low, high, _MOST_TARGETS),
+                ).fetchall()
+                if rows:
+                    found.append(_moment(camera, rows))
+        return found
+
+
+def _moment(camera: str, rows: Sequence[_PointRow]) -> Moment:
+    targets = tuple(
+        TargetState(
+            id=row[1],
+            latitude_deg=row[2],
+            longitude_deg=row[3],
+            covariance_m2=np.array([[row[4], row[5]], [row[5], row[6]]]),
+            speed_mps=row[7],
+            course_deg=row[8],
+            state=_STATES[row[9]],
+            mmsi=row[11],
+            name=row[12],
+            match=row[13],
+            label=str(row[14] or ""),
+        )
+        for row in rows
+    )
+    return Moment(rows[0][0] * 1e-6, _CAPTURES[rows[0][10]], camera, targets)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[sqlite3.Connection]:
+    """A connection that can only read, without a transaction that stays.
+
+    Raises:
+        InputError: It is no store, or is damaged.
+    """
+    try:
+        with closing(_reader(path)) as file:
+            yield file
+    except (sqlite3.Error, LookupError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+
+
 def _track(
     file: sqlite3.Connection, number: int, label: str, plane: LocalPlane, between: tuple[int, int]
 ) -> Track | None:
@@ -405,15 +593,20 @@ class Keeper:
             told: Is told when it cannot be written, and when it can again.
         """
         self.kept_utc_s, self.lost, self.problem = float("nan"), 0, ""
+        self.change(retention_days)
         self._store, self._told, self._most = store, told, most
-        self._retention_s = None if retention_days is None else retention_days * 86_400.0
         self._changed = threading.Condition()
         self._moments: deque[Moment] = deque()
         self._parts: deque[SmoothedPart] = deque()
+        self._rows: deque[Row] = deque()
         self._state: dict[str, object] | None = None
         self._closing = False
-        self._forget_at_s = 0.0
         self._thread = threading.Thread(target=self._run, daemon=True, name="sightline-store")
+
+    def change(self, retention_days: float | None) -> None:
+        """Remove what is older than so many days, or nothing, from now on."""
+        self._retention_s = None if retention_days is None else retention_days * 86_400.0
+        self._forget_at_s = 0.0
 
     def start(self) -> None:
         """Begin to write."""
@@ -424,18 +617,21 @@ class Keeper:
         moment: Moment | None,
         parts: Sequence[SmoothedPart] = (),
         state: dict[str, object] | None = None,
+        rows: Sequence[Row] = (),
     ) -> None:
         """Hand over what is to be kept; returns at once."""
         with self._changed:
             if moment is not None:
                 self._moments.append(moment)
             self._parts.extend(parts)
+            self._rows.extend(rows)
             self._state = state or self._state
             while len(self._moments) > self._most:
                 self._moments.popleft()
                 self.lost += 1
-            while len(self._parts) > self._most:
-                self._parts.popleft()
+            for waiting in (self._parts, self._rows):
+                while len(waiting) > self._most:
+                    waiting.popleft()
             self._changed.notify_all()
 
     def close(self, timeout_s: float = 1.0) -> None:
@@ -449,12 +645,12 @@ class Keeper:
         try:
             while True:
                 with self._changed:
-                    if not (self._moments or self._parts or self._closing):
+                    if not (self._moments or self._parts or self._rows or self._closing):
                         self._changed.wait(0.5)
                     moments, parts = list(self._moments), list(self._parts)
-                    state, closing = self._state, self._closing
-                done = self._write(moments, parts, state)
-                if closing and (not done or not (self._moments or self._parts)):
+                    rows, state, closing = list(self._rows), self._state, self._closing
+                done = self._write(moments, parts, rows, state)
+                if closing and (not done or not (self._moments or self._parts or self._rows)):
                     return
                 if done:
                     self._forget()
@@ -467,12 +663,13 @@ class Keeper:
         self,
         moments: list[Moment],
         parts: list[SmoothedPart],
+        rows: list[Row],
         state: dict[str, object] | None,
     ) -> bool:
-        if not (moments or parts or state):
+        if not (moments or parts or rows or state):
             return True
         try:
-            self._store.keep(moments, parts, state)
+            self._store.keep(moments, parts, state, rows)
         except sqlite3.Error as error:
             if not self.problem:
                 self.problem = str(error)
@@ -488,9 +685,11 @@ class Keeper:
                 self._moments.popleft()
             if self._state is state:
                 self._state = None
-            written = {id(part) for part in parts}
-            while self._parts and id(self._parts[0]) in written:
-                self._parts.popleft()
+            written = {id(one) for one in (*parts, *rows)}
+            waiting: deque[SmoothedPart] | deque[Row]
+            for waiting in (self._parts, self._rows):
+                while waiting and id(waiting[0]) in written:
+                    waiting.popleft()
         if moments:
             self.kept_utc_s = moments[-1].time_utc_s
         return True

@@ -9,10 +9,10 @@ import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import ClassVar
-from urllib.parse import urlsplit
 
 import cv2
 
+from sightline.addresses import Address
 from sightline.errors import InputError
 from sightline.simulation.harbour import Harbour
 from sightline.simulation.render import Look
@@ -223,12 +223,11 @@ def local_address(text: str, scheme: str) -> tuple[str, int]:
         InputError: It begins otherwise, or has no host and port.
     """
     try:
-        parts = urlsplit(text)
-        host, port = parts.hostname, parts.port
-    except ValueError:
-        host, port, parts = None, None, urlsplit("")
-    if parts.scheme != scheme or host is None or port is None:
-        raise InputError(f"{text!r} is no address to serve at; give {scheme}://HOST:PORT")
+        address = Address.parse(text, {scheme: None}, feed="serve", with_path=True)
+    except InputError as error:
+        reason = f"{text!r} is no address to serve at; give {scheme}://HOST:PORT"
+        raise InputError(reason) from error
+    host, port = address.host, address.port
     with contextlib.suppress(OSError):
         socket.getaddrinfo(host, port)
         return host, port

@@ -12,12 +12,11 @@ from http.cookies import CookieError, SimpleCookie
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, quote, urlencode, urlsplit
 
-from sightline.errors import InputError
+from sightline.addresses import parse_address as parse_address
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-_MAX_PORT = 65535
 _RATE_PER_S = 200.0
 _BURST = 400.0
 _ADDRESSES = 4096
@@ -38,21 +37,6 @@ HEADERS = {
     "permissions-policy": "camera=(), microphone=(), geolocation=()",
 }
 """Sent with every answer."""
-
-
-def parse_address(address: str) -> tuple[str, int]:
-    """Host and port of ``HOST:PORT``.
-
-    Raises:
-        InputError: It is of another form.
-    """
-    host, colon, port = address.rpartition(":")
-    host = host.removeprefix("[").removesuffix("]")
-    if not colon or not host or not port.isascii() or not port.isdigit() or int(port) > _MAX_PORT:
-        raise InputError(
-            f"cannot serve at {address!r}: expected HOST:PORT, for example 127.0.0.1:8080"
-        )
-    return host, int(port)
 
 
 def is_loopback(host: str) -> bool:

@@ -7,13 +7,16 @@ import contextlib
 import gzip
 import hashlib
 import json
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
 
-from sightline.web.hub import Hub, Listener, message
+from sightline.errors import InputError
+from sightline.web.hub import Hub, Kept, Listener, message
 
 STATIC = Path(__file__).parent / "static"
 """The files of the page."""
@@ -27,6 +30,9 @@ _TYPES = {
 }
 _MOST_LISTENERS = 128
 _SEND_S = 10.0
+_MOST_READERS = 2
+_MOST_REPLAYED, _MOST_REPLAYED_S = 120, 86_400.0
+_LAST_UTC_S = 4e9
 _NO_STORE = {"cache-control": "no-store"}
 
 
@@ -54,6 +60,7 @@ def build_app(hub: Hub) -> FastAPI:
     app = FastAPI(title="sightline", docs_url=None, redoc_url=None, openapi_url=None)
     _add_page(app)
     _add_data(app, hub)
+    _add_kept(app, hub)
 
     @app.websocket("/ws")
     async def stream(socket: WebSocket) -> None:
@@ -106,6 +113,8 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             "frame_size_px": size,
             "picture": hub.picture is not None,
             "shore": hub.shore is not None,
+            "boundaries": hub.boundaries is not None,
+            "kept": hub.kept is not None,
         }
         return _json(told)
 
@@ -130,6 +139,12 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             return _json({"reason": "no shore was given"}, 404)
         return Response(hub.shore, 200, _NO_STORE, "application/geo+json")
 
+    @app.get("/boundaries.geojson")
+    async def boundaries() -> Response:
+        if hub.boundaries is None:
+            return _json({"reason": "no lines and no zones were given"}, 404)
+        return Response(json.dumps(hub.boundaries), 200, _NO_STORE, "application/geo+json")
+
     @app.get("/picture.jpg")
     def picture() -> Response:
         newest = hub.newest
@@ -141,6 +156,45 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             # Boxes are in the pixels of the frame, and the picture may be smaller.
             headers["x-frame-size"] = "{}x{}".format(*newest.frame_size_px)
         return Response(taken, 200, headers, "image/jpeg")
+
+
+def _add_kept(app: FastAPI, hub: Hub) -> None:
+    """What was published before: read alone, some at a time, and of some visitors at once."""
+    reading = threading.BoundedSemaphore(_MOST_READERS)
+
+    def read(answer: Callable[[Kept], object]) -> Response:
+        if hub.kept is None:
+            return _json({"reason": "nothing is kept"}, 404)
+        if not reading.acquire(blocking=False):
+            return _json({"reason": "others are being answered; ask again"}, 503)
+        try:
+            return _json(answer(hub.kept))
+        except (InputError, ValueError) as error:
+            return _json({"reason": str(error)}, 503)
+        finally:
+            reading.release()
+
+    def extent(kept: Kept) -> object:
+        found = kept.extent_utc_s()
+        first, last = (None, None) if found is None else found
+        return {"from_utc_s": first, "to_utc_s": last}
+
+    @app.get("/api/kept")
+    def kept() -> Response:
+        return read(extent)
+
+    @app.get("/api/replay")
+    def replay(
+        at: Annotated[float, Query(ge=0.0, le=_LAST_UTC_S)],
+        seconds: Annotated[float, Query(gt=0.0, le=_MOST_REPLAYED_S)] = 60.0,
+    ) -> Response:
+        step_s = max(1.0, seconds / _MOST_REPLAYED)
+        return read(
+            lambda kept: {
+                "step_s": step_s,
+                "moments": [one.to_message() for one in kept.moments(at, seconds, step_s)],
+            }
+        )
 
 
 async def _stream(hub: Hub, socket: WebSocket) -> None:

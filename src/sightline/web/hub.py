@@ -10,13 +10,36 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Protocol
 
 from sightline.moment import Moment
 from sightline.text import encodable_text
 from sightline.web.memory import TrackMemory
 
 _QUEUE = 2
+
+
+class Kept(Protocol):
+    """What was published before, as a store has it."""
+
+    def extent_utc_s(self) -> tuple[float, float] | None:
+        """Times of the first and the last moment; None where there is none."""
+
+    def moments(self, from_utc_s: float, seconds: float, step_s: float) -> list[Moment]:
+        """Moments of a part of the time, one a step."""
+
+
 _SILENT_S = 30.0
+# Each metric, the key of a line or zone that it has, and which way that is.
+_COUNTED = {
+    "line_crossings_total": ("left_to_right", "left_to_right"),
+    "line_crossings_total ": ("right_to_left", "right_to_left"),
+    "zone_inside": ("inside", ""),
+    "zone_entries_total": ("entries", ""),
+    "zone_exits_total": ("exits", ""),
+    "zone_mean_dwell_seconds": ("mean_dwell_s", ""),
+    "zone_longest_dwell_seconds": ("longest_dwell_s", ""),
+}
 _NOT_IN_A_NAME = re.compile("[^a-zA-Z0-9_]+")
 
 
@@ -85,13 +108,15 @@ class Hub:
     ) -> None:
         self.picture = picture
         self.shore = shore
+        self.store = store
+        self.boundaries: Mapping[str, object] | None = None
+        self.kept: Kept | None = None
         self.memory = TrackMemory()
         self.newest: Moment | None = None
         self.listeners: set[Listener] = set()
         self.moments = 0
         self.dropped = 0
         self._health = health
-        self._store = store
         self._arrived_s = -math.inf
         self._loop: asyncio.AbstractEventLoop | None = None
         self._new: deque[Moment] = deque(maxlen=_QUEUE)
@@ -140,9 +165,9 @@ class Hub:
             reason = f"no moment for {silent_s:.0f} s" if moments else "no moment yet"
             told = {"state": "silent", "reason": reason}
         told["web"] = {"moments": moments, "clients": len(self.listeners), "dropped": self.dropped}
-        if self._store is not None:
+        if self.store is not None:
             try:
-                told["store_bytes"] = self._store.stat().st_size
+                told["store_bytes"] = self.store.stat().st_size
             except OSError:
                 told["store_bytes"] = None
         cleaned = _clean(told)
@@ -154,9 +179,7 @@ class Hub:
         health = self.health()
         newest = self.newest
         camera = "" if newest is None else newest.camera
-        escaped = (
-            encodable_text(camera).replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
-        )
+        escaped = _escaped(camera)
         values = {"up": float(health.get("state") == "ok")}
         if newest is not None:
             values["moment_age_seconds"] = time.time() - newest.time_utc_s
@@ -167,6 +190,7 @@ class Hub:
         for name, value in values.items():
             lines.append(f"# TYPE sightline_{name} gauge")
             lines.append(f'sightline_{name}{{camera="{escaped}"}} {value!r}')
+        lines += _boundary_lines(health.get("boundaries"), escaped)
         return "\n".join(lines) + "\n"
 
     def _hand_on(self) -> None:
@@ -177,6 +201,26 @@ class Hub:
         for moment in new:
             for listener in self.listeners:
                 self.dropped += not listener.offer(moment)
+
+
+def _escaped(label: str) -> str:
+    return encodable_text(label).replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+
+
+def _boundary_lines(boundaries: object, camera: str) -> Iterator[str]:
+    """What was counted at lines and in zones, each name a label."""
+    if not isinstance(boundaries, list):
+        return
+    for name, (key, label) in _COUNTED.items():
+        rows = [one for one in boundaries if isinstance(one, Mapping) and one.get(key) is not None]
+        # A crossing is of one metric, whichever way it goes.
+        if rows and not label.endswith("right_to_left"):
+            kind = "counter" if name.endswith("_total") else "gauge"
+            yield f"# TYPE sightline_{name.partition(' ')[0]} {kind}"
+        for one in rows:
+            labels = f'camera="{camera}",boundary="{_escaped(str(one.get("name")))}"'
+            labels += f',direction="{label}"' if label else ""
+            yield f"sightline_{name.partition(' ')[0]}{{{labels}}} {float(one[key])!r}"
 
 
 def _clean(value: object) -> object:

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from sightline.addresses import Address
 from sightline.errors import InputError
-from sightline.live.feeds.address import Address
 from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed, Transport
 from sightline.live.feeds.transports import TcpTransport, UdpTransport

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from sightline import _optional
+from sightline.addresses import Address
 from sightline.errors import InputError
-from sightline.live.feeds.address import Address
 from sightline.live.feeds.queued import QueuedFeed
 from sightline.moment import Moment
 

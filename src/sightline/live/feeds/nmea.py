@@ -9,7 +9,7 @@ from functools import reduce
 
 import numpy as np
 
-from sightline.live.feeds.address import Address
+from sightline.addresses import Address
 from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed
 from sightline.live.feeds.transports import TcpServerTransport, UdpTransport

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sightline import _optional
+from sightline.addresses import Address
 from sightline.errors import InputError
-from sightline.live.feeds.address import Address
 from sightline.live.feeds.names import display_name
 from sightline.live.feeds.queued import QueuedFeed, Transport
 from sightline.live.feeds.transports import TcpTransport, UdpTransport, connect

@@ -1,6 +1,8 @@
 // The page: takes moments from the server, and shows them.
 
 import { Chart } from "/static/chart.mjs";
+import { Filter, Replay } from "/static/history.mjs";
+import { Overlays } from "/static/overlays.mjs";
 import { Panel } from "/static/panel.mjs";
 import { Picture } from "/static/picture.mjs";
 import { plain, time } from "/static/words.mjs";
@@ -21,20 +23,41 @@ const settings = Object.fromEntries(Object.entries(choices).map(([name, known]) 
   return [name, known.includes(kept) ? kept : known[0]];
 }));
 
-const state = { moment: null, chosen: null, arrivedMs: 0, drawn: true, connected: false };
+const state = { moment: null, replayed: null, chosen: null, arrivedMs: 0, drawn: true, connected: false };
 const panel = new Panel(choose);
 const picture = new Picture(element("picture-figure"), element("picture"), choose);
+const filter = new Filter(() => {
+  draw();
+  list();
+});
+const replay = new Replay(showKept, () => settings.zone);
 let chart = null;
+let overlays = null;
 try {
   applyTheme();
   chart = new Chart(element("map"), choose);
+  overlays = new Overlays(chart);
 } catch (error) {
   element("map-notice").hidden = false;
   element("map-notice").textContent = `The map cannot be drawn: ${error.message}`;
 }
 
+/** The moment that is shown: what was kept while that is replayed, else the newest. */
+function shown() {
+  return state.replayed ?? state.moment;
+}
+
 function targets() {
-  return state.moment?.targets ?? [];
+  return filter.apply(shown()?.targets ?? []);
+}
+
+function showKept(moment) {
+  // The trails of one time are not those of another.
+  if ((moment === null) !== (state.replayed === null)) chart?.trails.clear();
+  state.replayed = moment;
+  draw();
+  list();
+  status();
 }
 
 function choose(id) {
@@ -47,19 +70,23 @@ function choose(id) {
 }
 
 function draw() {
-  if (!state.moment) return;
+  const moment = shown();
+  if (!moment) return;
   state.drawn = true;
-  chart?.draw(targets(), Date.parse(state.moment.time_utc) / 1000, state.chosen);
-  picture.draw(targets(), state.chosen);
+  chart?.draw(targets(), Date.parse(moment.time_utc) / 1000, state.chosen);
+  overlays?.draw(moment);
+  // The picture is of now.
+  picture.draw(state.replayed ? [] : targets(), state.chosen);
 }
 
 function list() {
   panel.list(targets(), state.chosen, settings.units);
   const target = targets().find((one) => one.id === state.chosen);
   panel.detail(target, state.chosen, settings.units);
-  if (state.moment) {
-    const clock = state.moment.capture === "sender" ? "" : " (time of arrival)";
-    element("clock").textContent = time(Date.parse(state.moment.time_utc), settings.zone) + clock;
+  const moment = shown();
+  if (moment) {
+    const clock = moment.capture === "arrival" ? " (time of arrival)" : "";
+    element("clock").textContent = time(Date.parse(moment.time_utc), settings.zone) + clock;
   }
 }
 
@@ -67,7 +94,8 @@ function status() {
   const silent = performance.now() - state.arrivedMs;
   const line = element("status");
   let [word, text] = ["live", "live"];
-  if (!state.connected) [word, text] = ["lost", "not connected; trying again"];
+  if (state.replayed) [word, text] = ["waiting", "replay of what was kept"];
+  else if (!state.connected) [word, text] = ["lost", "not connected; trying again"];
   else if (!state.moment) [word, text] = ["waiting", "waiting for the camera"];
   else if (silent > SILENT_MS) [word, text] = ["lost", `nothing for ${Math.round(silent / 1000)} s`];
   line.dataset.state = word;
@@ -121,12 +149,13 @@ async function recall() {
   for (const [path, take] of [
     ["/tracks.geojson?minutes=5", (data) => chart?.recall(data)],
     ["/shore.geojson", (data) => chart?.setShore(data)],
+    ["/boundaries.geojson", (data) => overlays?.ready.then(() => overlays.setBoundaries(data))],
   ]) {
     try {
-      if (path === "/shore.geojson") {
-        const about = await (await fetch("/api/about", { cache: "no-store" })).json();
-        if (!about.shore) continue;
-      }
+      const about = await (await fetch("/api/about", { cache: "no-store" })).json();
+      replay.toggleButton.hidden = !about.kept;
+      if (path === "/shore.geojson" && !about.shore) continue;
+      if (path === "/boundaries.geojson" && !about.boundaries) continue;
       const answer = await fetch(path, { cache: "no-store" });
       if (answer.ok) take(await answer.json());
     } catch {
@@ -142,6 +171,7 @@ function applyTheme() {
     || (settings.theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
   document.documentElement.dataset.theme = dark ? "dark" : "light";
   chart?.repaint();
+  overlays?.repaint();
   picture.paint();
 }
 
@@ -167,6 +197,8 @@ function next(name) {
 
 const actions = {
   f: () => chart?.fit(targets()),
+  r: () => replay.toggleButton.hidden || replay.toggle(),
+  p: () => replay.play(),
   u: () => next("units"),
   t: () => next("zone"),
   d: () => next("theme"),
@@ -177,12 +209,19 @@ for (const [id, key] of [["fit", "f"], ["units", "u"], ["zone", "t"], ["theme", 
 }
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
+  // There, letters choose.
+  if (event.target instanceof HTMLSelectElement) return;
   actions[event.key]?.();
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyTheme);
 addEventListener("resize", () => picture.paint());
 
+replay.toggleButton.hidden = true;
+document.querySelector(".controls").append(filter.which, filter.classes, replay.toggleButton);
+element("map-section").append(replay.controls);
+
 chart?.ready.then(applyTheme);
+overlays?.ready.then(applyTheme);
 applySettings();
 listen();
 recall();
@@ -192,4 +231,4 @@ setInterval(status, 1000);
 setInterval(health, HEALTH_MS);
 
 // For those who look, and for tests.
-globalThis.sightline = { chart, picture, state, choose };
+globalThis.sightline = { chart, overlays, picture, replay, state, choose };
