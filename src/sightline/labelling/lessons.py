@@ -1,10 +1,10 @@
 """What the log of a target teaches a detector of the camera that filmed it, without a drawn box.
 
 In each frame the log and the fitted camera say where the target is. What stands out there against
-the median of the recording, or what a detector sees there at a low threshold and is not the same
-in every frame, is proposed as its box; proposals that do not go with the log as their neighbours
-in time do are left out. What moves elsewhere may be another target, and nothing is said of it.
-Everything else does not move, and so is none.
+the median of the recording is proposed as its box; proposals that do not go with the log as their
+neighbours in time do are left out. What else a detector is sure of, and does not stay in its
+place, is another target. Of what moves besides nothing is said. The rest does not move, and so is
+none.
 """
 
 from __future__ import annotations
@@ -53,6 +53,8 @@ _MOVES, _STANDS_OUT = 1.5, 5.0
 and of a pixel that is certainly not of the background."""
 _SPECK_PX = (4, 3, 12)
 """Width, height and area below which something that stands out teaches nothing either way."""
+_MOST_OTHERS = 4
+"""Other targets in a frame that are taught: the logged one must not be lost among them."""
 _UNSURE_SIGMAS = 4.0
 _UNSURE_PX = 20.0
 _FAR_KM = 2.0
@@ -69,10 +71,9 @@ class Lesson:
         time_utc_s: POSIX seconds by the recording's clock.
         image_bgr: (H, W, 3) the picture.
         target_xyxy_px: (M, 4) box of the target, as tight as it stands out; M is 0 or 1.
+        others_xyxy_px: (L, 4) boxes of other targets, as the detector draws them.
         open_xyxy_px: (K, 4) regions of which nothing is known: what moves there may be another
             target, or the target where it was not found. In the rest there is none.
-        told: Whether it is known that there is no other target than these of the log's vessel:
-            False where the log has a gap, or its vessel was not found though it is in view.
     """
 
     recording: str
@@ -80,8 +81,8 @@ class Lesson:
     time_utc_s: float
     image_bgr: Image
     target_xyxy_px: FloatArray
+    others_xyxy_px: FloatArray
     open_xyxy_px: FloatArray
-    told: bool
 
 
 @dataclass(frozen=True)
@@ -93,16 +94,16 @@ class TeacherSettings:
         most_frames: Of all recordings together; of a longer one they are further apart.
         least_confidence: Of a proposal.
         margin: By which the boxes will be widened; what touches a widened box is of the target.
-        keep_moored: Leave open what the detector is sure of and never moves; else it is none.
-        moored_confidence: From which on it is sure.
+        sure_confidence: From which on the detector is believed about other targets.
+        keep_moored: Also about what never moves; else that is none.
     """
 
     every_s: float = _EVERY_S
     most_frames: int = _MOST_FRAMES
     least_confidence: float = _SURE
     margin: Margin = field(default_factory=Margin)
+    sure_confidence: float = 0.25
     keep_moored: bool = False
-    moored_confidence: float = 0.3
 
     def __post_init__(self) -> None:
         if self.most_frames < 1 or not self.every_s >= 0.0:
@@ -307,18 +308,18 @@ def _taught(
         tally.leave_out("proposed boxes, unsure or not as their neighbours in time", dropped)
     out = []
     for i, frame in enumerate(frames):
-        target, unsure, told = np.empty((0, 4)), np.empty((0, 4)), False
+        target, unsure = np.empty((0, 4)), np.empty((0, 4))
         if proposals is not None:
             reason = str(proposals.reason[i])
             if sure[i]:
-                target, told = proposals.xyxy_px[i][None], True
+                target = proposals.xyxy_px[i][None]
                 tally.count("boxes")
             elif reason not in (IN_GAP, OUTSIDE):
                 unsure = _around(proposals, i)
-            told = told or reason == OUTSIDE
-        open_px = _open(frame, seen, i, settings)
+        others, open_px = _others(frame, seen, settings), _open(frame, seen, i, settings)
         if len(target):
-            open_px = open_px[~_touch(open_px, settings.margin.widened(target[0]))]
+            wide = settings.margin.widened(target[0])
+            others, open_px = others[~_touch(others, wide)], open_px[~_touch(open_px, wide)]
         out.append(
             Lesson(
                 recording.name,
@@ -326,8 +327,8 @@ def _taught(
                 frame.time_utc_s,
                 frame.image_bgr,
                 target,
-                np.concatenate([open_px, unsure]),
-                told,
+                others,
+                np.concatenate([open_px, settings.margin.widened(others), unsure]),
             )
         )
     return out
@@ -357,11 +358,11 @@ def _sure(proposals: Proposals, moving: Boxes, settings: TeacherSettings) -> Boo
         ]
     )
     apart = np.empty_like(off)
-    for i in range(rows.size):
-        near = np.argsort(np.abs(np.arange(rows.size) - i), kind="stable")[1 : 1 + 2 * _NEIGHBOURS]
-        apart[i] = np.abs(off[i] - np.median(off[near], axis=0))
+    for k in range(rows.size):
+        near = np.argsort(np.abs(np.arange(rows.size) - k), kind="stable")[1 : 1 + 2 * _NEIGHBOURS]
+        apart[k] = np.abs(off[k] - np.median(off[near], axis=0))
     allowed = np.maximum(_APART * 1.4826 * np.median(apart, axis=0), _LEAST_APART)
-    sure[rows] = (apart <= allowed).all(axis=1)
+    sure[rows] = np.all(apart <= allowed, axis=1)
     # What stays is no vessel under way, whatever the log says of it.
     if not certainly_moves(
         Boxes.of(
@@ -381,12 +382,19 @@ def _around(proposals: Proposals, row: int) -> FloatArray:
     return np.asarray([[*(box[:2] - reach), *(box[2:] + reach)]])
 
 
+def _others(frame: Frame, seen: _Seen, settings: TeacherSettings) -> FloatArray:
+    """(L, 4) what the detector is sure of in a frame, the surest first."""
+    own = (seen.found.frame == frame.index) & (seen.found.confidence >= settings.sure_confidence)
+    if not settings.keep_moored:
+        own &= ~seen.stays
+    order = np.argsort(-seen.found.confidence[own], kind="stable")
+    return np.asarray(seen.found.xyxy_px[own][order][:_MOST_OTHERS])
+
+
 def _open(frame: Frame, seen: _Seen, row: int, settings: TeacherSettings) -> FloatArray:
     """(K, 4) what moves in a frame, or is seen by the detector and does not certainly stay."""
     own = seen.found.frame == frame.index
     left = ~seen.stays[own]
-    if settings.keep_moored:
-        left |= seen.found.confidence[own] >= settings.moored_confidence
     hard = (seen.contrasts[row] > _STEPS * _STANDS_OUT).astype(np.uint8)
     hard = np.asarray(cv2.morphologyEx(hard, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)))
     _, _, stats, _ = cv2.connectedComponentsWithStats(hard)

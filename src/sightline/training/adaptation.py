@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -20,7 +20,13 @@ import torch
 from sightline.detection import Detector, DetectorOptions, OnnxDetector
 from sightline.detection.metadata import LowerEdge
 from sightline.errors import InputError
-from sightline.evaluation.detection import DetectionReport, JudgedFrame, score_detections
+from sightline.evaluation.calibration import calibrated, fit_calibration
+from sightline.evaluation.detection import (
+    DetectionReport,
+    JudgedFrame,
+    right_boxes,
+    score_detections,
+)
 from sightline.formats.labels import Margin
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.lessons import Lesson, TeacherSettings, learn_lessons
@@ -34,7 +40,6 @@ from sightline.training.data import (
     Picture,
     backgrounds,
     sprites,
-    vanishing_row_px,
 )
 from sightline.training.export import export_onnx
 from sightline.training.loop import TrainingSettings, train
@@ -63,11 +68,17 @@ _TEACHING_SHARE = 0.35
 """Of the time that collecting lessons may take, before what is left is divided."""
 _RESERVE = 1.5
 """Times that judging the detector before took, for judging and writing the one after."""
-_OVERLAP = 0.3
+_OVERLAP, _JUDGED_OVERLAP = 0.3, 0.5
+"""From where on boxes are of one thing, and from where on one counts as found: COCO's measure."""
 _SIZE_PX, _BATCH, _RATE, _WARMUP, _MEAN_DECAY = (320, 192), 8, 5e-4, 40, 0.99
 _SCALES = (0.35, 2.0)
+_OTHERS = 0.5
+"""Share of the full score that is taught for other targets: what looks like the logged one, whose
+box is surer, comes first, and the others are not forgotten."""
 _LEAST_SPREAD_PX = 0.5
 _MOST_CHECKED = 4
+_TOLERANCE = 1e-3
+"""Sides are exponentials, which in single precision lose a digit that scores keep."""
 
 
 @dataclass(frozen=True)
@@ -180,27 +191,25 @@ def adapt(
     """
     settings = settings or AdaptSettings()
     tell = progress if progress is not None else _silent
-    tally = tally if tally is not None else Tally(scene.path)
     begun_s = clock()
     if settings.threads:
         torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
     network = start_of(detector, settings.label)
     options = _options_of(detector, settings)
-    looking = make_detector(detector, model, replace(options, threshold=_THRESHOLD))
     lessons = learn_lessons(
         scene,
         model,
-        looking,
+        make_detector(detector, model, replace(options, threshold=_THRESHOLD)),
         replace(settings.teacher, margin=settings.margin),
         tally=tally,
         progress=lambda what, share: tell(what, _TEACHING_SHARE * share),
     )
     taught, held_out = split(lessons)
     judging_s = clock()
+    usual = _usual_threshold(detector, options)
     judged = make_detector(detector, model, replace(options, threshold=_LOWEST))
-    usual = _usual_threshold(detector, model, options)
-    before = judge(judged, held_out, settings.margin, usual)
+    before = judge(found_in(judged, held_out), held_out, settings.margin, usual)
     judging_s = clock() - judging_s
     left_s = 60.0 * settings.minutes - (clock() - begun_s) - _RESERVE * judging_s
     if left_s <= 0.0:
@@ -208,20 +217,19 @@ def adapt(
             f"looking at the recordings took the {settings.minutes:g} minutes that tuning may "
             "take; give more, or fewer recordings"
         )
-    pictures = [_picture(one, settings.margin) for one in taught]
-    steps = _learn(network, pictures, settings, left_s, tell)
+    rows = horizon(model)
+    vanishing_px = None if rows is None else 0.5 * (rows[0] + rows[1])
+    steps = _learn(network, taught, settings, left_s, tell, vanishing_px)
     tell("judging", float("nan"))
-    edge = LowerEdge(px=settings.margin.px, share=settings.margin.share)
+    about: dict[str, object] = {"score_threshold": usual, "adapted": _described(taught)}
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / f"{path.stem}.onnx"
-        _export(network, draft, taught, edge, usual)
-        tuned = OnnxDetector(
-            draft, options=replace(_views_of(options), threshold=_LOWEST), horizon_px=horizon(model)
-        )
-        after = judge(tuned, held_out, settings.margin, usual)
-        edge = lower_edge(tuned, held_out, settings.margin)
+        _export(network, draft, taught, about)
+        looking = replace(_looking(options), threshold=_LOWEST)
+        tuned = OnnxDetector(draft, options=looking, horizon_px=rows)
+        after, measured = _measured(found_in(tuned, held_out), held_out, settings.margin, usual)
     gained = after.average_precision - before.average_precision >= LEAST_GAIN
-    difference = _export(network, path, taught, edge, usual) if gained else float("nan")
+    difference = _export(network, path, taught, about | measured) if gained else float("nan")
     return Adaptation(
         before=before,
         after=after,
@@ -297,19 +305,12 @@ def split(lessons: Sequence[Lesson]) -> tuple[list[Lesson], list[Lesson]]:
     )
 
 
-def judge(
-    detector: Detector, lessons: Sequence[Lesson], margin: Margin, threshold: float
-) -> DetectionReport:
-    """How well a detector finds what the log proposed.
-
-    Some draw close and some with a margin: of both the better counts. Regions of which nothing is
-    known count neither way.
+def found_in(detector: Detector, lessons: Sequence[Lesson]) -> list[Boxes]:
+    """What a detector finds in frames, each recording from its beginning.
 
     Args:
-        detector: Is shown the frames in their order.
-        lessons: That it did not learn from.
-        margin: Of who draws with one.
-        threshold: From where on its boxes count in recall and precision.
+        detector: With a threshold as low as is to be judged.
+        lessons: In the order of recordings and time.
     """
     found: list[Boxes] = []
     recording = ""
@@ -317,27 +318,45 @@ def judge(
         if one.recording != recording:
             detector.reset()
             recording = one.recording
-        found.append(detector.detect(_frame(one)))
-    reports = []
-    for wide in (Margin(), margin):
-        frames = [_judged(one, boxes, wide) for one, boxes in zip(lessons, found, strict=True)]
-        reports.append(score_detections(frames, least_iou=_OVERLAP, threshold=threshold))
+        found.append(detector.detect(Frame(one.frame, one.time_utc_s, one.image_bgr)))
+    return found
+
+
+def judge(
+    found: Sequence[Boxes], lessons: Sequence[Lesson], margin: Margin, threshold: float
+) -> DetectionReport:
+    """Compare what was found with what the log proposed.
+
+    Some draw close and some with a margin: of both the better counts. Regions of which nothing is
+    known count neither way.
+
+    Args:
+        found: In each frame.
+        lessons: That the detector did not learn from.
+        margin: Of who draws with one.
+        threshold: From where on boxes count in recall and precision.
+    """
+    reports = [
+        score_detections(
+            _judged(found, lessons, wide), least_iou=_JUDGED_OVERLAP, threshold=threshold
+        )
+        for wide in (Margin(), margin)
+    ]
     return max(reports, key=lambda report: report.average_precision)
 
 
-def lower_edge(detector: Detector, lessons: Sequence[Lesson], margin: Margin) -> LowerEdge:
+def lower_edge(found: Sequence[Boxes], lessons: Sequence[Lesson], margin: Margin) -> LowerEdge:
     """Where the boxes of a tuned detector end below what stands out, which ends at the water.
 
     The margin that was taught, moved by the median of what was found besides.
     """
     off: list[float] = []
-    detector.reset()
-    for one in lessons:
-        if not len(one.target_xyxy_px):
+    for one, boxes in zip(lessons, found, strict=True):
+        if not len(one.target_xyxy_px) or not len(boxes):
             continue
-        boxes, wanted = detector.detect(_frame(one)), margin.widened(one.target_xyxy_px[0])
+        wanted = margin.widened(one.target_xyxy_px[0])
         overlap = iou(wanted, boxes.xyxy_px)
-        if len(boxes) and overlap.max() >= _OVERLAP:
+        if overlap.max() >= _OVERLAP:
             off.append(float(boxes.xyxy_px[int(np.argmax(overlap)), 3] - wanted[3]))
     middle = float(np.median(off)) if off else 0.0
     apart = 1.4826 * float(np.median(np.abs(np.array(off) - middle))) if off else 0.0
@@ -346,6 +365,20 @@ def lower_edge(detector: Detector, lessons: Sequence[Lesson], margin: Margin) ->
         share=margin.share,
         spread_px=round(max(apart, _LEAST_SPREAD_PX), 3),
     )
+
+
+def _measured(
+    found: Sequence[Boxes], lessons: Sequence[Lesson], margin: Margin, threshold: float
+) -> tuple[DetectionReport, dict[str, object]]:
+    """How good a tuned detector is, and what its file is to say of it."""
+    about: dict[str, object] = {"lower_edge": lower_edge(found, lessons, margin).model_dump()}
+    mapping = fit_calibration(*right_boxes(_judged(found, lessons, margin), _OVERLAP))
+    if mapping is not None:
+        about["calibration"] = mapping
+        found = [
+            boxes.with_columns(confidence=calibrated(boxes.confidence, mapping)) for boxes in found
+        ]
+    return judge(found, lessons, margin, threshold), about
 
 
 def horizon(model: Georeferencer) -> tuple[float, float] | None:
@@ -368,44 +401,46 @@ def _options_of(detector: str, settings: AdaptSettings) -> DetectorOptions:
     return options
 
 
-def _views_of(options: DetectorOptions) -> DetectorOptions:
+def _looking(options: DetectorOptions) -> DetectorOptions:
     """The same way of looking, for a detector with classes of its own."""
     return replace(options, classes=None, decoder=None)
 
 
-def _usual_threshold(detector: str, model: Georeferencer, options: DetectorOptions) -> float:
-    made = make_detector(detector, model, options)
+def _usual_threshold(detector: str, options: DetectorOptions) -> float:
+    made = make_detector(detector, None, options)
     assert isinstance(made, OnnxDetector)
     return made.threshold
 
 
-def _frame(lesson: Lesson) -> Frame:
-    return Frame(lesson.frame, lesson.time_utc_s, lesson.image_bgr)
-
-
-def _judged(lesson: Lesson, found: Boxes, margin: Margin) -> JudgedFrame:
-    truth = margin.widened(lesson.target_xyxy_px)
-    boxes = found.xyxy_px
-    middle = 0.5 * (boxes[:, None, :2] + boxes[:, None, 2:])
-    open_px = lesson.open_xyxy_px
-    inside = ((middle > open_px[:, :2]) & (middle < open_px[:, 2:])).all(axis=2).any(axis=1)
-    right = (iou(boxes[:, None], truth) >= _OVERLAP).any(axis=1)
-    counts = right | ~inside
-    return JudgedFrame(
-        f"{lesson.recording}/{lesson.frame}",
-        truth,
-        np.zeros(len(truth), dtype=bool),
-        boxes[counts],
-        found.confidence[counts],
-    )
+def _judged(found: Sequence[Boxes], lessons: Sequence[Lesson], margin: Margin) -> list[JudgedFrame]:
+    """Frames with what was found in them and counts."""
+    out = []
+    for one, boxes in zip(lessons, found, strict=True):
+        truth, xyxy_px = margin.widened(one.target_xyxy_px), boxes.xyxy_px
+        middle = 0.5 * (xyxy_px[:, None, :2] + xyxy_px[:, None, 2:])
+        low, high = one.open_xyxy_px[:, :2], one.open_xyxy_px[:, 2:]
+        inside = np.any(np.all((middle > low) & (middle < high), axis=2), axis=1)
+        counts = np.any(iou(xyxy_px[:, None], truth) >= _OVERLAP, axis=1) | ~inside
+        out.append(
+            JudgedFrame(
+                f"{one.recording}/{one.frame}",
+                truth,
+                np.zeros(len(truth), dtype=bool),
+                xyxy_px[counts],
+                boxes.confidence[counts],
+            )
+        )
+    return out
 
 
 def _picture(lesson: Lesson, margin: Margin) -> Picture:
     """A lesson as the training has pictures: what it does not name is known to hold nothing."""
     height, width = lesson.image_bgr.shape[:2]
-    target = margin.widened(lesson.target_xyxy_px)
-    boxes = np.concatenate([target, lesson.open_xyxy_px]).clip(0.0, [width, height, width, height])
-    ignore = np.arange(len(boxes)) >= len(target)
+    target, others = (margin.widened(one) for one in (lesson.target_xyxy_px, lesson.others_xyxy_px))
+    boxes = np.concatenate([target, others, lesson.open_xyxy_px])
+    boxes = boxes.clip(0.0, [width, height, width, height])
+    ignore = np.arange(len(boxes)) >= len(target) + len(others)
+    worth = np.where(np.arange(len(boxes)) < len(target), 1.0, _OTHERS)
     kept = ((boxes[:, 2:] - boxes[:, :2]) > 1.0).all(axis=1)
     return Picture(
         recording=lesson.recording,
@@ -414,18 +449,20 @@ def _picture(lesson: Lesson, margin: Margin) -> Picture:
         boxes_xyxy_px=boxes[kept].astype(np.float32),
         labels=np.zeros(int(kept.sum()), dtype=np.int64),
         ignore=ignore[kept],
-        worth=np.ones(int(kept.sum()), dtype=np.float32),
+        worth=worth[kept].astype(np.float32),
     )
 
 
 def _learn(
     network: YoloxDetector,
-    pictures: Sequence[Picture],
+    taught: Sequence[Lesson],
     settings: AdaptSettings,
     left_s: float,
     tell: Progress,
+    vanishing_px: float | None,
 ) -> int:
     """Teach a network, and return from how many batches it learned."""
+    pictures = [_picture(one, settings.margin) for one in taught]
     batches = Batches(
         pictures,
         backgrounds(pictures),
@@ -435,7 +472,7 @@ def _learn(
             size_px=_SIZE_PX,
             batch=_BATCH,
             seed=settings.seed,
-            vanishing_row_px=vanishing_row_px(pictures),
+            vanishing_row_px=vanishing_px,
         ),
     )
     training = TrainingSettings(
@@ -470,20 +507,16 @@ def _export(
     network: YoloxDetector,
     path: Path,
     taught: Sequence[Lesson],
-    edge: LowerEdge,
-    threshold: float,
+    about: Mapping[str, object],
 ) -> float:
     shown = taught[:: max(1, len(taught) // _MOST_CHECKED)][:_MOST_CHECKED]
     return export_onnx(
         network,
         path,
         size_px=_SIZE_PX,
-        about={
-            "lower_edge": edge.model_dump(),
-            "score_threshold": threshold,
-            "adapted": _described(taught),
-        },
+        about=about,
         pictures=[np.ascontiguousarray(one.image_bgr[..., ::-1]) for one in shown],
+        tolerance=_TOLERANCE,
     )
 
 

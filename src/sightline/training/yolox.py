@@ -506,6 +506,10 @@ def _convolutions(path: str | Path) -> list[tuple[Tensor, Tensor]]:
         values = {one.name: onnx.numpy_helper.to_array(one) for one in graph.initializer}
     except Exception as error:  # protobuf's own errors share no base with onnx's
         raise InputError(f"{path}: is no whole ONNX file") from error
+    for node in graph.node:
+        # Weights that are the same are in a file once.
+        if node.op_type == "Identity" and node.input[0] in values:
+            values[node.output[0]] = values[node.input[0]]
     found = []
     nodes = [node for node in graph.node if node.op_type == "Conv"]
     joined = [node for node in nodes if node.name.startswith(GENERAL_PREFIX)]
