@@ -19,7 +19,8 @@ BINS = 10
 CalibrationMap = tuple[tuple[float, float], ...]
 """Scores and the probability that a box of that score is right; linear between them."""
 
-_KNOTS = np.array([0.0, 0.001, 0.003, 0.01, 0.03, *np.linspace(0.05, 0.95, 19), 0.98, 1.0])
+_ENDS = np.array([0.001, 0.003, 0.01, 0.02, 0.03])
+_KNOTS = np.concatenate([[0.0], _ENDS, np.linspace(0.05, 0.95, 19), 1.0 - _ENDS[::-1], [1.0]])
 _LEAST_SCORE = 1e-4
 _FEWEST = 5
 """Right boxes, and wrong ones, without which a curve is a guess."""
