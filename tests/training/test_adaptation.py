@@ -85,7 +85,6 @@ def lesson(recording: str, second: float, boxes: int = 1) -> Lesson:
         np.zeros((8, 8, 3), np.uint8),
         np.array([[1.0, 1.0, 4.0, 4.0]])[:boxes],
         np.empty((0, 4)),
-        np.empty((0, 4)),
     )
 
 

@@ -2,13 +2,13 @@
 
 In each frame the log and the fitted camera say where the target is. What stands out there against
 the median of the recording is proposed as its box; proposals that do not go with the log as their
-neighbours in time do are left out. What else a detector is sure of, and does not stay in its
-place, is another target. Of what moves besides nothing is said. The rest does not move, and so is
-none.
+neighbours in time do are left out. Of what moves elsewhere nothing is said: it may be another
+target. The rest does not move, and so is none.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 
@@ -28,6 +28,8 @@ from sightline.scene import Recording, Scene
 from sightline.tally import Tally
 from sightline.tracking.static_map import PASSED_BY, StaticMap, certainly_moves
 from sightline.types import BoolArray, Boxes, FloatArray, Frame
+
+_logger = logging.getLogger(__name__)
 
 _EVERY_S = 1.0
 _MOST_BYTES = 800_000_000
@@ -53,8 +55,6 @@ _MOVES, _STANDS_OUT = 1.5, 5.0
 and of a pixel that is certainly not of the background."""
 _SPECK_PX = (4, 3, 12)
 """Width, height and area below which something that stands out teaches nothing either way."""
-_MOST_OTHERS = 4
-"""Other targets in a frame that are taught: the logged one must not be lost among them."""
 _UNSURE_SIGMAS = 4.0
 _UNSURE_PX = 20.0
 _FAR_KM = 2.0
@@ -71,7 +71,6 @@ class Lesson:
         time_utc_s: POSIX seconds by the recording's clock.
         image_bgr: (H, W, 3) the picture.
         target_xyxy_px: (M, 4) box of the target, as tight as it stands out; M is 0 or 1.
-        others_xyxy_px: (L, 4) boxes of other targets, as the detector draws them.
         open_xyxy_px: (K, 4) regions of which nothing is known: what moves there may be another
             target, or the target where it was not found. In the rest there is none.
     """
@@ -81,7 +80,6 @@ class Lesson:
     time_utc_s: float
     image_bgr: Image
     target_xyxy_px: FloatArray
-    others_xyxy_px: FloatArray
     open_xyxy_px: FloatArray
 
 
@@ -94,16 +92,16 @@ class TeacherSettings:
         most_frames: Of all recordings together; of a longer one they are further apart.
         least_confidence: Of a proposal.
         margin: By which the boxes will be widened; what touches a widened box is of the target.
-        sure_confidence: From which on the detector is believed about other targets.
-        keep_moored: Also about what never moves; else that is none.
+        keep_moored: Leave open what the detector is sure of and never moves; else it is none.
+        sure_confidence: From which on it is sure.
     """
 
     every_s: float = _EVERY_S
     most_frames: int = _MOST_FRAMES
     least_confidence: float = _SURE
     margin: Margin = field(default_factory=Margin)
-    sure_confidence: float = 0.25
     keep_moored: bool = False
+    sure_confidence: float = 0.25
 
     def __post_init__(self) -> None:
         if self.most_frames < 1 or not self.every_s >= 0.0:
@@ -129,9 +127,15 @@ def check_camera(scene: Scene, model: Georeferencer) -> None:
     """Refuse a model that is of another camera than a scene.
 
     Raises:
-        InputError: It has no camera, is for pictures of another size, or stands elsewhere.
+        InputError: It has no camera, one that moves, is for pictures of another size, or stands
+            elsewhere.
     """
     camera_of(model)
+    if model.moving:
+        raise InputError(
+            f"{scene.path}: its camera is on a vessel under way, so that nothing tells what never "
+            "moves; a detector is tuned to a camera that stands still"
+        )
     wide, high = model.image_size_px
     given = scene.image_size_px
     if given != (wide, high):
@@ -146,7 +150,8 @@ def check_camera(scene: Scene, model: Georeferencer) -> None:
     away_km = _KM_PER_DEG * float(
         np.hypot(
             latitude - plane.latitude_deg,
-            (longitude - plane.longitude_deg) * np.cos(np.deg2rad(latitude)),
+            ((longitude - plane.longitude_deg + 180.0) % 360.0 - 180.0)
+            * np.cos(np.deg2rad(latitude)),
         )
     )
     if away_km > _FAR_KM:
@@ -179,6 +184,7 @@ def learn_lessons(
         InputError: The model is of another camera, no recording has both pictures and a log, the
             log is nowhere in view, or nothing moves where it is.
     """
+    told = tally is not None
     tally = tally if tally is not None else Tally(scene.path)
     check_camera(scene, model)
     filmed = [one for one in scene.recordings if one.source is not None]
@@ -219,6 +225,8 @@ def learn_lessons(
         seen = _Seen(found, stays & ~moves, moves & ~stays, contrasts)
         made += _taught(recording, kept, proposals, seen, settings, tally)
     _check_taught(scene, proposed, made)
+    if not told:
+        tally.warn(_logger)
     return made
 
 
@@ -316,10 +324,9 @@ def _taught(
                 tally.count("boxes")
             elif reason not in (IN_GAP, OUTSIDE):
                 unsure = _around(proposals, i)
-        others, open_px = _others(frame, seen, settings), _open(frame, seen, i, settings)
+        open_px = _open(frame, seen, i, settings)
         if len(target):
-            wide = settings.margin.widened(target[0])
-            others, open_px = others[~_touch(others, wide)], open_px[~_touch(open_px, wide)]
+            open_px = open_px[~_touch(open_px, settings.margin.widened(target[0]))]
         out.append(
             Lesson(
                 recording.name,
@@ -327,8 +334,7 @@ def _taught(
                 frame.time_utc_s,
                 frame.image_bgr,
                 target,
-                others,
-                np.concatenate([open_px, settings.margin.widened(others), unsure]),
+                np.concatenate([open_px, unsure]),
             )
         )
     return out
@@ -382,19 +388,12 @@ def _around(proposals: Proposals, row: int) -> FloatArray:
     return np.asarray([[*(box[:2] - reach), *(box[2:] + reach)]])
 
 
-def _others(frame: Frame, seen: _Seen, settings: TeacherSettings) -> FloatArray:
-    """(L, 4) what the detector is sure of in a frame, the surest first."""
-    own = (seen.found.frame == frame.index) & (seen.found.confidence >= settings.sure_confidence)
-    if not settings.keep_moored:
-        own &= ~seen.stays
-    order = np.argsort(-seen.found.confidence[own], kind="stable")
-    return np.asarray(seen.found.xyxy_px[own][order][:_MOST_OTHERS])
-
-
 def _open(frame: Frame, seen: _Seen, row: int, settings: TeacherSettings) -> FloatArray:
     """(K, 4) what moves in a frame, or is seen by the detector and does not certainly stay."""
     own = seen.found.frame == frame.index
     left = ~seen.stays[own]
+    if settings.keep_moored:
+        left |= seen.found.confidence[own] >= settings.sure_confidence
     hard = (seen.contrasts[row] > _STEPS * _STANDS_OUT).astype(np.uint8)
     hard = np.asarray(cv2.morphologyEx(hard, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)))
     _, _, stats, _ = cv2.connectedComponentsWithStats(hard)

@@ -40,6 +40,7 @@ from sightline.training.data import (
     Picture,
     backgrounds,
     sprites,
+    vanishing_row_px,
 )
 from sightline.training.export import export_onnx
 from sightline.training.loop import TrainingSettings, train
@@ -66,15 +67,14 @@ _GUARD_S = 5.0
 _FEWEST_BOXES = 8
 _TEACHING_SHARE = 0.35
 """Of the time that collecting lessons may take, before what is left is divided."""
-_RESERVE = 1.5
-"""Times that judging the detector before took, for judging and writing the one after."""
+_RESERVE, _RESERVE_SHARE = 2.0, 0.05
+"""For judging and writing the one after: times that judging the detector before took, and a share
+of all the time."""
 _OVERLAP, _JUDGED_OVERLAP = 0.3, 0.5
 """From where on boxes are of one thing, and from where on one counts as found: COCO's measure."""
 _SIZE_PX, _BATCH, _RATE, _WARMUP, _MEAN_DECAY = (320, 192), 8, 5e-4, 40, 0.99
-_SCALES = (0.35, 2.0)
-_OTHERS = 0.5
-"""Share of the full score that is taught for other targets: what looks like the logged one, whose
-box is surer, comes first, and the others are not forgotten."""
+_SCALES = (0.2, 1.5)
+"""A detector looks at the horizon as it is, and at all that is nearer scaled down."""
 _LEAST_SPREAD_PX = 0.5
 _MOST_CHECKED = 4
 _TOLERANCE = 1e-3
@@ -211,15 +211,16 @@ def adapt(
     judged = make_detector(detector, model, replace(options, threshold=_LOWEST))
     before = judge(found_in(judged, held_out), held_out, settings.margin, usual)
     judging_s = clock() - judging_s
-    left_s = 60.0 * settings.minutes - (clock() - begun_s) - _RESERVE * judging_s
+    rows = horizon(model)
+    batches = _batches(taught, settings, rows)
+    ends_s = begun_s + (1.0 - _RESERVE_SHARE) * 60.0 * settings.minutes - _RESERVE * judging_s
+    left_s = ends_s - clock()
     if left_s <= 0.0:
         raise InputError(
             f"looking at the recordings took the {settings.minutes:g} minutes that tuning may "
             "take; give more, or fewer recordings"
         )
-    rows = horizon(model)
-    vanishing_px = None if rows is None else 0.5 * (rows[0] + rows[1])
-    steps = _learn(network, taught, settings, left_s, tell, vanishing_px)
+    steps = _learn(network, batches, settings, left_s, tell)
     tell("judging", float("nan"))
     about: dict[str, object] = {"score_threshold": usual, "adapted": _described(taught)}
     with tempfile.TemporaryDirectory() as folder:
@@ -436,11 +437,9 @@ def _judged(found: Sequence[Boxes], lessons: Sequence[Lesson], margin: Margin) -
 def _picture(lesson: Lesson, margin: Margin) -> Picture:
     """A lesson as the training has pictures: what it does not name is known to hold nothing."""
     height, width = lesson.image_bgr.shape[:2]
-    target, others = (margin.widened(one) for one in (lesson.target_xyxy_px, lesson.others_xyxy_px))
-    boxes = np.concatenate([target, others, lesson.open_xyxy_px])
-    boxes = boxes.clip(0.0, [width, height, width, height])
-    ignore = np.arange(len(boxes)) >= len(target) + len(others)
-    worth = np.where(np.arange(len(boxes)) < len(target), 1.0, _OTHERS)
+    target = margin.widened(lesson.target_xyxy_px)
+    boxes = np.concatenate([target, lesson.open_xyxy_px]).clip(0.0, [width, height, width, height])
+    ignore = np.arange(len(boxes)) >= len(target)
     kept = ((boxes[:, 2:] - boxes[:, :2]) > 1.0).all(axis=1)
     return Picture(
         recording=lesson.recording,
@@ -449,21 +448,19 @@ def _picture(lesson: Lesson, margin: Margin) -> Picture:
         boxes_xyxy_px=boxes[kept].astype(np.float32),
         labels=np.zeros(int(kept.sum()), dtype=np.int64),
         ignore=ignore[kept],
-        worth=worth[kept].astype(np.float32),
+        worth=np.ones(int(kept.sum()), dtype=np.float32),
     )
 
 
-def _learn(
-    network: YoloxDetector,
-    taught: Sequence[Lesson],
-    settings: AdaptSettings,
-    left_s: float,
-    tell: Progress,
-    vanishing_px: float | None,
-) -> int:
-    """Teach a network, and return from how many batches it learned."""
+def _batches(
+    taught: Sequence[Lesson], settings: AdaptSettings, rows: tuple[float, float] | None
+) -> Batches:
+    """Crops of what is learned from, with the target laid elsewhere on the water."""
     pictures = [_picture(one, settings.margin) for one in taught]
-    batches = Batches(
+    vanishing_px = vanishing_row_px(pictures)
+    if vanishing_px is None and rows is not None:
+        vanishing_px = 0.5 * (rows[0] + rows[1])
+    return Batches(
         pictures,
         backgrounds(pictures),
         sprites(pictures),
@@ -475,6 +472,16 @@ def _learn(
             vanishing_row_px=vanishing_px,
         ),
     )
+
+
+def _learn(
+    network: YoloxDetector,
+    batches: Batches,
+    settings: AdaptSettings,
+    left_s: float,
+    tell: Progress,
+) -> int:
+    """Teach a network, and return from how many batches it learned."""
     training = TrainingSettings(
         steps=settings.steps,
         minutes=left_s / 60.0,
