@@ -12,10 +12,10 @@ import pytest
 import torch
 
 from sightline import Georeferencer, InputError, Scene, fit
-from sightline.cli import main
+from sightline.cli import defaults, main
 from sightline.detection import DetectorOptions, OnnxDetector, _onnxruntime
 from sightline.formats import read_boxes
-from sightline.formats.labels import Margin
+from sightline.formats.labels import Margin, parse_margins
 from sightline.labelling.lessons import Lesson, TeacherSettings, learn_lessons
 from sightline.overlap import iou
 from sightline.simulation.simulate import SimulationSettings, simulate
@@ -264,6 +264,12 @@ def test_without_the_extra_train_it_says_what_is_missing(
     monkeypatch.setitem(sys.modules, "torch", None)
     assert adapted(harbour / "scene.toml", harbour, weak, tmp_path / "tuned.onnx") == 2
     assert "sightline[train]" in capsys.readouterr().err
+
+
+def test_defaults_of_the_help_are_those_of_tuning() -> None:
+    assert defaults.ADAPTED_MINUTES == adaptation.MINUTES
+    assert defaults.ADAPTED_STEPS == adaptation.STEPS
+    assert parse_margins([f"log={defaults.ADAPTED_MARGIN}"])["log"] == adaptation.MARGIN
 
 
 def test_a_detector_of_another_network_is_refused(tmp_path: Path) -> None:
