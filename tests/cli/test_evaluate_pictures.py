@@ -89,6 +89,23 @@ def test_each_prefix_is_measured_and_the_mean_of_them(
     assert "recordings" not in told
 
 
+def test_how_often_boxes_are_right_by_their_confidence_is_told_and_drawn(
+    folder: Path, measure: Callable[..., dict], tmp_path: Path
+) -> None:
+    """Of four boxes at 0.8 three are right."""
+    figure = tmp_path / "reliability.png"
+    told = measure(folder, "--reliability", figure)
+    assert told["calibration_error"] == pytest.approx(0.05, abs=1e-3)
+    assert "expected calibration error 5.0 %" in told["out"]
+    assert cv2.imread(str(figure)) is not None
+
+
+def test_a_figure_of_an_unknown_kind_is_refused(folder: Path, sightline: Command) -> None:
+    done = sightline("detector", "evaluate", folder, "--reliability", "reliability.txt")
+    assert done.status == 2
+    assert "a figure ends in .png" in done.err
+
+
 def test_the_overlap_that_is_asked_for_is_that_of_the_average_precision(
     folder: Path, measure: Callable[..., dict]
 ) -> None:

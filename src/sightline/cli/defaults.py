@@ -37,6 +37,8 @@ VIEWS = ("strip", "tiles", "whole", "everywhere")
 
 DEFAULT_IOU = 0.3
 DEFAULT_LABEL = "boat"
+ADAPTED_MINUTES, ADAPTED_STEPS = 10.0, 1500
+ADAPTED_MARGIN = "2.5+16%"
 ARCHITECTURES = (
     "yolov3",
     "yolov4",

@@ -99,6 +99,8 @@ class DetectorMetadata(_Table):
         lower_edge: Its lower-edge bias; None: not measured.
         class_lower_edges: Lower-edge biases of classes whose boxes end elsewhere than the others';
             each is a source of its own, see `source_of`.
+        calibration: Scores of the network, and the probability that a box of that score is right,
+            both rising from 0 to 1: its confidence, linear between them. None: the score.
     """
 
     format: int = FORMAT
@@ -112,6 +114,7 @@ class DetectorMetadata(_Table):
     views: TilingSettings | None = None
     lower_edge: LowerEdge | None = None
     class_lower_edges: Mapping[str, LowerEdge] | None = None
+    calibration: Annotated[tuple[tuple[Share, Share], ...], Field(min_length=2)] | None = None
 
     @model_validator(mode="after")
     def _known_defaults(self) -> DetectorMetadata:
@@ -121,6 +124,10 @@ class DetectorMetadata(_Table):
         for name in self.class_lower_edges or {}:
             if name not in self.classes:
                 raise ValueError(f"class_lower_edges names {name!r}, which is no class")
+        if self.calibration is not None:
+            scores, shares = np.array(self.calibration).T
+            if not (np.diff(scores) > 0.0).all() or not (np.diff(shares) >= 0.0).all():
+                raise ValueError("calibration does not rise")
         return self
 
     def source_of(self, detector: str, label: str) -> str:

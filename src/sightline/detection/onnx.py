@@ -203,6 +203,7 @@ class OnnxDetector:
             for value in (self._options.threshold, usual, DEFAULT_THRESHOLD)
             if value is not None
         )
+        self._calibration = metadata.calibration if metadata else None
         self._view_settings = self._options.tiling(metadata.views if metadata else None)
         self._sources = {
             label: metadata.source_of(self.name, label) if metadata else self.name
@@ -426,6 +427,8 @@ class OnnxDetector:
             return np.empty((0, 4)), np.empty(0), np.empty(0, dtype=np.int64)
         best = scores.argmax(axis=1)
         score = scores[np.arange(len(scores)), best]
+        if self._calibration is not None:
+            score = np.interp(score, *np.array(self._calibration).T)
         xyxy = scored.xyxy_px
         # Not-a-number is not at least the threshold either.
         kept = np.flatnonzero((score >= self.threshold) & (score > 0.0))

@@ -18,6 +18,7 @@ import numpy as np
 
 from sightline import _optional
 from sightline.errors import InputError
+from sightline.evaluation.calibration import reliability
 from sightline.overlap import giou, iou
 from sightline.types import BoolArray, FloatArray
 
@@ -69,6 +70,8 @@ class DetectionReport:
         mean_giou: The same, generalised (Rezatofighi et al. 2019): 1 less the loss.
         foot_px: Median of how far the found boxes end below the drawn ones.
         average_precision: At the overlap ``iou``, over all confidences.
+        calibration_error: Expected calibration error of the boxes from ``threshold`` on, at the
+            overlap ``iou``.
     """
 
     frames: int
@@ -88,6 +91,7 @@ class DetectionReport:
     mean_giou: float
     foot_px: float
     average_precision: float = math.nan
+    calibration_error: float = math.nan
 
     def to_dict(self) -> dict[str, object]:
         """The report as JSON has it."""
@@ -194,6 +198,24 @@ def score_detections(
         mean_giou=float(giou(found[chosen], truth[chosen]).mean()) if overlap.size else math.nan,
         foot_px=float(np.median((found - truth)[chosen, 3])) if overlap.size else math.nan,
         average_precision=precisions[-1],
+        calibration_error=reliability(confidence[kept], right[kept]).error,
+    )
+
+
+def right_boxes(
+    frames: Sequence[JudgedFrame], least_iou: float = DEFAULT_IOU
+) -> tuple[FloatArray, BoolArray]:
+    """Confidence of the boxes that count, and whether each is right.
+
+    Args:
+        frames: What was drawn and found.
+        least_iou: The overlap from which a drawn box counts as found.
+    """
+    each = [_match(frame, least_iou) for frame in frames]
+    nothing = np.empty(0)
+    return (
+        np.concatenate([nothing, *(one.confidence for one in each)]),
+        np.concatenate([nothing.astype(bool), *(one.right for one in each)]),
     )
 
 

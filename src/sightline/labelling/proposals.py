@@ -101,6 +101,8 @@ def propose(
     *,
     every_s: float = 1.0,
     leave_out: IntArray | None = None,
+    detections: Boxes | None = None,
+    background: Background | None = None,
 ) -> Proposals:
     """Propose a box of the logged target for each frame of a recording.
 
@@ -114,6 +116,8 @@ def propose(
         size: Of the target.
         every_s: Frames that follow the last one sooner are left out.
         leave_out: (M,) frames that are left out, since they have boxes already.
+        detections: To choose from; absent: the recording's own, if it has any.
+        background: Of the recording; absent: it is estimated.
 
     Raises:
         InputError: The recording has no pictures, no log or no times, or a file cannot be used.
@@ -121,8 +125,10 @@ def propose(
     if recording.source is None:
         raise InputError(f"recording {recording.name}: has no pictures; give video or frames")
     recording.fixes()
-    background = Background.of(recording.frames(), recording.name)
-    detections = recording.detections() if recording.detections_path is not None else None
+    if background is None:
+        background = Background.of(recording.frames(), recording.name)
+    if detections is None and recording.detections_path is not None:
+        detections = recording.detections()
     skipped = set() if leave_out is None else {int(frame) for frame in leave_out}
     levels = recording.water_levels()
     views: list[_View] = []

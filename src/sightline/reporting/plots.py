@@ -29,6 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
+from sightline.evaluation.calibration import Reliability
 from sightline.evaluation.metrics import ScoredPairs, by_range, covered, line_of_sight_errors
 from sightline.synchronisation import LARGEST_GAP_S
 from sightline.text import figure_text
@@ -276,6 +277,33 @@ def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
     tidy(axes)
     if axes.get_legend_handles_labels()[0]:
         _plain(axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.9)))
+    return figure
+
+
+def reliability_figure(measured: Reliability) -> Figure:
+    """How often a detector's boxes are right, by their confidence; each dot is a tenth.
+
+    Args:
+        measured: The larger a dot, the more boxes it has.
+    """
+    figure = _figure(5.2, 4.9)
+    axes = figure.subplots()
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=_FAINT, lw=1.0)
+    filled = measured.count > 0.0
+    said, true = measured.confidence[filled], measured.right[filled]
+    axes.plot(said, true, color=ESTIMATE_COLOUR, lw=1.5)
+    share = measured.count[filled] / max(float(measured.count.sum()), 1.0)
+    axes.scatter(said, true, s=20.0 + 400.0 * share, color=ESTIMATE_COLOUR, edgecolor="white")
+    axes.text(0.97, 0.05, "overconfident", color=_FAINT, ha="right", fontsize=10)
+    axes.text(0.03, 0.95, "too cautious", color=_FAINT, ha="left", va="top", fontsize=10)
+    axes.set_xlim(0.0, 1.0)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_aspect("equal")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    axes.set_xlabel("confidence of the box")
+    axes.set_ylabel("share of boxes that are right")
+    _tidy(axes)
     return figure
 
 

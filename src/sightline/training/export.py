@@ -50,6 +50,7 @@ def export_onnx(
     default_classes: tuple[str, ...] | None = None,
     about: Mapping[str, Any] | None = None,
     pictures: Sequence[NDArray[np.uint8]] = (),
+    tolerance: float = TOLERANCE,
 ) -> float:
     """Write a network, and check the file.
 
@@ -67,12 +68,13 @@ def export_onnx(
         about: More for the metadata.
         pictures: (H, W, 3) each, red, green, blue, to check with; absent: noise that has as much
             of each frequency as a photograph has.
+        tolerance: Largest difference that is let pass.
 
     Returns:
         The largest difference that the check found.
 
     Raises:
-        ExportError: It was more than `TOLERANCE`.
+        ExportError: It was more than ``tolerance``.
         InputError: The file cannot be written.
     """
     onnx = _optional.module("onnx", "train")
@@ -105,10 +107,10 @@ def export_onnx(
         onnx.save(model, str(temporary))
         onnx.checker.check_model(str(temporary))
         difference, largest = _difference(module, temporary, shape, info, pictures)
-        if not difference <= TOLERANCE:
+        if not difference <= tolerance:
             raise ExportError(
                 f"{path}: the exported network differs by {difference:.2g} from the trained one, "
-                f"whose outputs go up to {largest:.2g}, more than {TOLERANCE:g}; it was not "
+                f"whose outputs go up to {largest:.2g}, more than {tolerance:g}; it was not "
                 "written"
             )
     return difference

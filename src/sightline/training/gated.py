@@ -46,7 +46,7 @@ from sightline.training.augmentation import Augmentation
 from sightline.training.collage import Collage, CollageBatches
 from sightline.training.export import OPSET, TOLERANCE, ExportError
 from sightline.training.photographs import Photograph
-from sightline.training.yolox import YoloxDetector, YoloxNetwork
+from sightline.training.yolox import GENERAL_PREFIX, YoloxDetector, YoloxNetwork
 from sightline.types import FloatArray, Frame, IntArray
 
 if TYPE_CHECKING:
@@ -589,7 +589,7 @@ def _joined(onnx: Any, specialist: Path, general: ModelProto, classes: int) -> M
     """One graph: both networks, the gate's product, and all boxes in one list."""
     helper, numbers = onnx.helper, onnx.numpy_helper
     place = onnx.compose.add_prefix(onnx.load(str(specialist)), "place/")
-    other = onnx.compose.add_prefix(general, "general/")
+    other = onnx.compose.add_prefix(general, GENERAL_PREFIX)
     nodes = [*place.graph.node, *other.graph.node]
     boxes = place.graph.output[0].name
     given = {

@@ -26,6 +26,9 @@ from sightline.errors import InputError
 from sightline.training.architecture import ExportInfo, InputFormat, Prediction, Target, Trainable
 from sightline.training.suppression import predictions
 
+GENERAL_PREFIX = "general/"
+"""Of the names of its nodes in a file in which it is joined with another detector."""
+
 STRIDES = (8, 16, 32)
 """Pixels a cell, at the three scales."""
 
@@ -424,7 +427,9 @@ def load_onnx_weights(network: YoloxNetwork, path: str | Path, class_names: Sequ
     """Take over the weights in an ONNX file of YOLOX-nano, whose normalisations are folded.
 
     Convolutions are matched in the order in which both run. Class rows are those of COCO's class
-    of the same name; a class that COCO does not have begins with random ones.
+    of the same name; a class that COCO does not have begins with random ones. Of a file in which
+    it is joined with a detector of one place (`sightline.training.gated`) it is taken alone, and
+    its single class is the first.
 
     Args:
         network: What begins with them.
@@ -443,6 +448,9 @@ def load_onnx_weights(network: YoloxNetwork, path: str | Path, class_names: Sequ
     for own, (weight, bias) in zip(ours, published, strict=True):
         if id(own) in kinds and len(weight) == len(COCO):
             weight, bias = _class_rows(own, weight, bias, class_names)
+        elif id(own) in kinds and len(weight) > len(class_names):
+            # Of several classes of its own the first comes first here as well.
+            weight, bias = weight[: len(class_names)], bias[: len(class_names)]
         if own.weight.shape != weight.shape:
             shapes = f"{tuple(weight.shape)} where {tuple(own.weight.shape)} are expected"
             raise _other_network(path, f"weights of {shapes}")
@@ -498,10 +506,14 @@ def _convolutions(path: str | Path) -> list[tuple[Tensor, Tensor]]:
         values = {one.name: onnx.numpy_helper.to_array(one) for one in graph.initializer}
     except Exception as error:  # protobuf's own errors share no base with onnx's
         raise InputError(f"{path}: is no whole ONNX file") from error
-    found = []
     for node in graph.node:
-        if node.op_type != "Conv":
-            continue
+        # Weights that are the same are in a file once.
+        if node.op_type == "Identity" and node.input[0] in values:
+            values[node.output[0]] = values[node.input[0]]
+    found = []
+    nodes = [node for node in graph.node if node.op_type == "Conv"]
+    joined = [node for node in nodes if node.name.startswith(GENERAL_PREFIX)]
+    for node in joined or nodes:
         if len(node.input) < 3 or not all(name in values for name in node.input[1:3]):
             raise _other_network(path, "a convolution has no weights or no bias in the file")
         weight, bias = (np.array(values[name], dtype=np.float32) for name in node.input[1:3])

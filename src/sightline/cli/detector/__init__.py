@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from sightline.cli.detector.adapt import adapt
 from sightline.cli.detector.combine import combine
 from sightline.cli.detector.compare import compare
 from sightline.cli.detector.evaluate import evaluate
@@ -13,8 +14,8 @@ from sightline.cli.detector.train import train
 
 detector = typer.Typer(
     name="detector",
-    help="Label, train, measure, compare, export and combine detectors.",
+    help="Label, train, adapt, measure, compare, export and combine detectors.",
     no_args_is_help=True,
 )
-for command in (label, train, evaluate, compare, export, combine):
+for command in (label, train, adapt, evaluate, compare, export, combine):
     detector.command()(command)

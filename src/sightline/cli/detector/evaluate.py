@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from sightline.scene import Scene
     from sightline.scene.labelled_pictures import LabelledPictures
 
+_FIGURES = (".png", ".svg", ".pdf")
 _LOWEST = 0.001
 """Average precision is of boxes of any confidence; below this there is nothing but noise."""
 
@@ -135,11 +136,20 @@ def evaluate(
     frame_width: FrameWidthOption = None,
     budget: BudgetOption = None,
     model: HorizonModelOption = None,
+    reliability: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            dir_okay=False,
+            help="Draw how often boxes are right by their confidence; or .svg, .pdf.",
+        ),
+    ] = None,
     json: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Measure a detector on the frames of a scene, or on pictures, in which boxes were drawn."""
-    keep_apart([json], [scene, labels, model, detector])
+    keep_apart([json, reliability], [scene, labels, model, detector])
+    _check_figure(reliability, overwrite)
     pictures = _holds_pictures(scene)
     of_others: dict[str, object] = {
         "--recordings": recordings,
@@ -202,12 +212,38 @@ def evaluate(
         told["groups"] = {name: part.to_dict() for name, part in parts.items()}
         told["mean_of_groups"] = _mean(list(parts.values()))
     write_result(json, told)
+    if reliability is not None:
+        _draw_reliability(pooled(judged), whole, reliability)
     say(describe(whole, detector))
+    say(
+        f"expected calibration error {100.0 * whole.calibration_error:.1f} % of boxes from "
+        f"confidence {usual:g} on, at IoU {iou:g}"
+    )
     if group_by_prefix or not pictures:
         for name, part in parts.items():
             say("  " + describe(part, name))
     if group_by_prefix:
         say("  " + _describe_mean(list(parts.values())))
+    if reliability is not None:
+        say(f"reliability: {reliability}")
+
+
+def _check_figure(path: Path | None, overwrite: bool) -> None:
+    """Refuse a figure that could not be written, before a detector has looked at all frames."""
+    if path is not None and path.suffix.lower() not in _FIGURES:
+        raise InputError(f"{path}: a figure ends in {', '.join(_FIGURES)}")
+    keep_others([(path, "figure")], overwrite=overwrite)
+
+
+def _draw_reliability(frames: list[JudgedFrame], whole: DetectionReport, path: Path) -> None:
+    """Draw how often boxes are right, by their confidence."""
+    from sightline.evaluation.calibration import reliability
+    from sightline.evaluation.detection import right_boxes
+    from sightline.reporting.plots import reliability_figure, save_figure
+
+    confidence, right = right_boxes(frames, whole.iou)
+    chosen = confidence >= whole.threshold
+    save_figure(reliability_figure(reliability(confidence[chosen], right[chosen])), path)
 
 
 @dataclass(frozen=True)
