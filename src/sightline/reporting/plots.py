@@ -286,7 +286,7 @@ def reliability_figure(measured: Reliability) -> Figure:
     Args:
         measured: The larger a dot, the more boxes it has.
     """
-    figure = _figure(5.2, 4.9)
+    figure = new_figure(5.2, 4.9)
     axes = figure.subplots()
     axes.plot([0.0, 1.0], [0.0, 1.0], color=_FAINT, lw=1.0)
     filled = measured.count > 0.0
@@ -303,7 +303,7 @@ def reliability_figure(measured: Reliability) -> Figure:
         axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
     axes.set_xlabel("confidence of the box")
     axes.set_ylabel("share of boxes that are right")
-    _tidy(axes)
+    tidy(axes)
     return figure
 
 
