@@ -3,6 +3,9 @@
 import { Chart } from "/static/chart.mjs";
 import { Panel } from "/static/panel.mjs";
 import { Picture } from "/static/picture.mjs";
+import {
+  capital, keptSettings, nextSetting, showTheme, whenThemeChanges,
+} from "/static/settings.mjs";
 import { plain, time } from "/static/words.mjs";
 
 const element = (id) => document.getElementById(id);
@@ -11,15 +14,7 @@ const LIST_MS = 500;
 const HEALTH_MS = 5000;
 
 const choices = { units: ["kn", "km/h"], zone: ["UTC", "local"], theme: ["auto", "light", "dark"] };
-const settings = Object.fromEntries(Object.entries(choices).map(([name, known]) => {
-  let kept = null;
-  try {
-    kept = localStorage.getItem(`sightline.${name}`);
-  } catch {
-    // Some browsers keep nothing.
-  }
-  return [name, known.includes(kept) ? kept : known[0]];
-}));
+const settings = keptSettings(choices);
 
 const state = { moment: null, chosen: null, arrivedMs: 0, drawn: true, connected: false };
 const panel = new Panel(choose);
@@ -138,9 +133,7 @@ async function recall() {
 }
 
 function applyTheme() {
-  const dark = settings.theme === "dark"
-    || (settings.theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
-  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  showTheme(settings.theme);
   chart?.repaint();
   picture.paint();
 }
@@ -148,20 +141,14 @@ function applyTheme() {
 function applySettings() {
   element("units").textContent = settings.units;
   element("zone").textContent = settings.zone;
-  element("theme").textContent = settings.theme[0].toUpperCase() + settings.theme.slice(1);
+  element("theme").textContent = capital(settings.theme);
   chart?.setUnits(settings.units);
   applyTheme();
   list();
 }
 
 function next(name) {
-  const known = choices[name];
-  settings[name] = known[(known.indexOf(settings[name]) + 1) % known.length];
-  try {
-    localStorage.setItem(`sightline.${name}`, settings[name]);
-  } catch {
-    // It holds until the page is closed.
-  }
+  nextSetting(settings, choices, name);
   applySettings();
 }
 
@@ -179,7 +166,7 @@ document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   actions[event.key]?.();
 });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyTheme);
+whenThemeChanges(applyTheme);
 addEventListener("resize", () => picture.paint());
 
 chart?.ready.then(applyTheme);
