@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,8 +12,11 @@ from numpy.typing import NDArray
 from sightline.text import encodable_text
 
 if TYPE_CHECKING:
+    from sightline.labelling.advice import Advice
     from sightline.labelling.control_points import ControlPointSheet
-    from sightline.labelling.drawing import Drawing
+    from sightline.labelling.drawing import DrawnBox, Drawing
+
+_SUGGESTED = 30
 
 
 class Workbench:
@@ -24,9 +25,9 @@ class Workbench:
     Args:
         drawing: The boxes.
         sheet: The control points.
-        annotator: Who draws.
         scene: Its name, as the page shows it.
         shore: GeoJSON that the map shows, or None.
+        places_deg: (latitude, longitude) of what the map is to show at first.
     """
 
     def __init__(
@@ -34,58 +35,53 @@ class Workbench:
         drawing: Drawing,
         sheet: ControlPointSheet,
         *,
-        annotator: str = "",
         scene: str = "",
         shore: bytes | None = None,
+        places_deg: Sequence[tuple[float, float]] = (),
     ) -> None:
         self.drawing = drawing
         self.sheet = sheet
         self.shore = shore
-        self._annotator, self._scene = annotator, scene
-        # One change after the other, and none while the state is put together.
-        self._lock = threading.RLock()
+        self._scene = scene
+        self._places_deg = places_deg
 
     def about(self) -> dict[str, object]:
         """What does not change while it is served."""
         return {
             "scene": encodable_text(self._scene),
-            "recording": encodable_text(self.drawing.recording.name),
-            "annotator": encodable_text(self._annotator),
+            "recording": encodable_text(self.drawing.recording),
+            "annotator": encodable_text(self.drawing.annotator),
             "frame_size_px": list(self.drawing.frame_size_px),
             "shore": self.shore is not None,
+            "places_deg": [list(place) for place in self._places_deg],
         }
 
     def frames(self) -> dict[str, object]:
         """The frames of the recording, a column each."""
-        with self._lock:
-            every = self.drawing.frames()
+        every = self.drawing.frames()
         return {
             "frame": [one.frame for one in every],
-            "time_utc_s": [plain(one.time_utc_s) for one in every],
-            "gap_s": [plain(one.gap_s) for one in every],
+            "time_utc_s": [_number(one.time_utc_s) for one in every],
+            "gap_s": [_number(one.gap_s) for one in every],
         }
 
     def state(self) -> dict[str, object]:
         """Boxes, what is suggested, and what the fit makes of them."""
-        with self._lock:
-            told = {
-                "boxes": self.drawing.boxes(),
-                "suggested": self.drawing.suggested(),
-                "advice": self.drawing.advice(),
-            }
-        cleaned = plain(told)
-        assert isinstance(cleaned, dict)
-        return cleaned
+        return {
+            "boxes": [_box(one) for one in self.drawing.boxes()],
+            "suggested": self.drawing.suggested(_SUGGESTED),
+            "advice": _advice(self.drawing.advice()),
+        }
 
     def change(self, action: Callable[[], object]) -> dict[str, object]:
-        """The state after a change, and what the change gave.
+        """The state after a change, and how much the change gave.
 
         Raises:
             InputError: It cannot be made.
         """
-        with self._lock:
-            result = plain(action())
-            return {**self.state(), "result": result}
+        result = action()
+        count = len(result) if isinstance(result, list) else int(result is not False)
+        return {**self.state(), "count": count}
 
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """A frame's picture, (H, W, 3), blue, green, red.
@@ -94,3 +90,63 @@ class Workbench:
             InputError: There is no such frame, or it cannot be read.
         """
         return self.drawing.picture(frame)
+
+
+def _number(value: float) -> float | None:
+    """A number as JSON can hold it."""
+    return float(value) if math.isfinite(value) else None
+
+
+def _box(box: DrawnBox) -> dict[str, object]:
+    return {
+        "frame": box.frame,
+        "box_px": list(box.xyxy_px),
+        "annotator": encodable_text(box.annotator),
+        "accepted": box.accepted,
+        "confidence": _number(box.confidence),
+    }
+
+
+def _advice(advice: Advice) -> dict[str, object]:
+    return {
+        "running": advice.running,
+        "boxes": advice.boxes,
+        "rmse_m": _number(advice.rmse_m),
+        "left_out": advice.left_out,
+        "parameters": [
+            {
+                "name": one.name,
+                "value": _number(one.value),
+                "sigma": _number(one.sigma),
+                "unit": one.unit,
+                "determined": one.determined,
+            }
+            for one in advice.parameters
+        ],
+        "odd": [
+            {
+                "recording": encodable_text(one.recording),
+                "frame": one.frame,
+                "annotator": encodable_text(one.annotator),
+                "sigmas": _number(one.sigmas),
+                "error_m": _number(one.error_m),
+                "why": encodable_text(one.why),
+            }
+            for one in advice.odd
+        ],
+        "thin": [
+            {
+                "cell_px": [one.x1, one.y1, one.x2, one.y2],
+                "boxes": one.boxes,
+                "passes": one.passes,
+                "frames": list(one.frames),
+            }
+            for one in advice.thin
+        ],
+        "enough": advice.enough,
+        "reason": encodable_text(advice.reason),
+        "axis_m": _number(advice.axis_m),
+        "gain": _number(advice.gain),
+        "statements": [encodable_text(one) for one in advice.statements],
+        "error": encodable_text(advice.error),
+    }

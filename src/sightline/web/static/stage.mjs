@@ -143,13 +143,10 @@ export class Stage extends EventTarget {
     if (!this.bitmap) return;
     this.canvas.focus({ preventScroll: true });
     const at = this.css(event);
-    // A pointer may have gone by the time that its first event is seen.
-    if (this.canvas.hasPointerCapture?.(event.pointerId) === false) {
-      try {
-        this.canvas.setPointerCapture(event.pointerId);
-      } catch {
-        return;
-      }
+    try {
+      this.canvas.setPointerCapture(event.pointerId);
+    } catch {
+      // It has gone already.
     }
     if (event.pointerType === "touch") {
       this.fingers.set(event.pointerId, at);
