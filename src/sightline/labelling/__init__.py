@@ -1,5 +1,7 @@
-"""Labelling: training boxes proposed from a fitted camera and the log of a target."""
+"""Labelling: boxes drawn by hand, and those proposed from a fitted camera and a log."""
 
+from sightline.labelling.advice import Advice, OddBox, ThinCell
+from sightline.labelling.drawing import Drawing, DrawnBox, FrameSummary
 from sightline.labelling.expected import Expected, TargetSize, expect, learn_size
 from sightline.labelling.proposals import DEFAULT_LABEL, SOURCE, Proposals, propose
 from sightline.labelling.sheets import SheetBox, contact_sheets, write_sheet
@@ -7,10 +9,16 @@ from sightline.labelling.sheets import SheetBox, contact_sheets, write_sheet
 __all__ = [
     "DEFAULT_LABEL",
     "SOURCE",
+    "Advice",
+    "Drawing",
+    "DrawnBox",
     "Expected",
+    "FrameSummary",
+    "OddBox",
     "Proposals",
     "SheetBox",
     "TargetSize",
+    "ThinCell",
     "contact_sheets",
     "expect",
     "learn_size",

@@ -1,0 +1,77 @@
+"""Adds the name of a file to a recording of a scene file, and changes nothing else of its text."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+from sightline.atomic import atomic_path
+from sightline.errors import InputError
+from sightline.scene.schema import parse_scene_table
+
+_HEADER = re.compile(r"^[ \t]*\[\[[ \t]*recordings[ \t]*\]\][ \t]*(?:#.*)?\r?$", re.MULTILINE)
+_BARE = re.compile(r"[A-Za-z0-9._/ -]+")
+
+
+def name_file(scene: Path, recording: str, key: str, file: str, *, wait_s: float = 0.0) -> str:
+    """Name a file in a recording's table, unless one is named there already.
+
+    Comments, order and all other keys stay as they are.
+
+    Args:
+        scene: The scene file.
+        recording: Name of the recording.
+        key: Of the file, as ``boxes``.
+        file: Its path, relative to the scene file, with ``/``.
+        wait_s: How long to wait for somebody else who writes the scene file.
+
+    Returns:
+        What is named there now.
+
+    Raises:
+        InputError: The scene file cannot be read or written, has no such recording, or is written
+            in a way that a line cannot be added to.
+    """
+    with atomic_path(scene, wait_s=wait_s) as temporary:
+        table = parse_scene_table(scene)
+        numbers = [i for i, one in enumerate(table.recordings) if one.name == recording]
+        if not numbers:
+            raise InputError(f"{scene}: has no recording {recording!r} any more")
+        named: str | None = getattr(table.recordings[numbers[0]], key)
+        with scene.open(encoding="utf-8", newline="") as opened:
+            text = opened.read()
+        if named is None:
+            text, named = _with_line(scene, text, numbers[0], key, file), file
+        with temporary.open("w", encoding="utf-8", newline="") as written:
+            written.write(text)
+    return named
+
+
+def _with_line(scene: Path, text: str, number: int, key: str, file: str) -> str:
+    """The text of a scene file with a key more in one of its recordings."""
+    by_hand = InputError(
+        f"{scene}: {key} cannot be added to its recordings as they are written; add the line {key} "
+        f'= "{file}" by hand'
+    )
+    headers = list(_HEADER.finditer(text))
+    if _BARE.fullmatch(file) is None or len(headers) <= number:
+        raise by_hand
+    end = headers[number].end()
+    ending = "\r\n" if text[:end].endswith("\r") else "\n"
+    line = f'{key} = "{file}"{ending}'
+    # A header may be the last line, and have no end.
+    begun = text[end : end + 1] == "\n"
+    at = end + 1 if begun else end
+    # Behind the name, where people look for it.
+    after = re.compile(r"[ \t]*name[ \t]*=[^\n]*\n").match(text, at)
+    at = after.end() if after is not None else at
+    longer = text[:at] + ("" if begun else ending) + line + text[at:]
+    try:
+        before = tomllib.loads(text.removeprefix("\ufeff"))
+        now = tomllib.loads(longer.removeprefix("\ufeff"))
+    except tomllib.TOMLDecodeError as error:
+        raise by_hand from error
+    if now["recordings"][number].pop(key, None) != file or now != before:
+        raise by_hand
+    return longer
