@@ -19,6 +19,7 @@ from sightline.cli.count import count
 from sightline.cli.demo import demo
 from sightline.cli.detect import detect
 from sightline.cli.detector import detector
+from sightline.cli.draw import draw
 from sightline.cli.evaluate import evaluate
 from sightline.cli.export import export
 from sightline.cli.fit import fit
@@ -49,7 +50,22 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (
-    *(demo, check, run, fit, compare, track, show, live, export, evaluate, count, detect, simulate),
+    *(
+        demo,
+        check,
+        draw,
+        run,
+        fit,
+        compare,
+        track,
+        show,
+        live,
+        export,
+        evaluate,
+        count,
+        detect,
+        simulate,
+    ),
 )
 for command in COMMANDS:
     app.command(cls=TrackCommand if command in (track, export) else None)(command)

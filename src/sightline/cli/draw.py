@@ -6,6 +6,7 @@ import getpass
 import os
 import sys
 import webbrowser
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -64,28 +65,29 @@ def draw(
         from sightline.labelling.control_points import ControlPointSheet
         from sightline.labelling.drawing import Drawing
         from sightline.live.config import page_token
-        from sightline.web.draw_server import DrawServer, read_bench
+        from sightline.web.draw_server import DrawServer
         from sightline.web.server import read_shore
+        from sightline.web.workbench import Workbench, places_of
 
-        server = DrawServer(serve, token=page_token(None if token_file is None else str(token_file)))
+        server = DrawServer(serve, token=page_token(str(token_file) if token_file else None))
         land = None if shore is None else read_shore(shore)
         name = _user() if annotator is None else annotator
-        drawing = Drawing(scene, recording, annotator=name, detector=_checker(detector))
-        try:
-            server.bench = read_bench(scene, drawing, ControlPointSheet(scene), shore=land)
-            server.start()
-            try:
-                say(f"drawing as {name} in recording {drawing.recording}: {server.url}")
-                say("Ctrl-C ends it")
-                if not no_browser and _has_screen():
-                    webbrowser.open(server.url)
-                while not stop.wait(0.5):
-                    pass
-            finally:
-                server.close()
-        finally:
-            drawing.close()
-    say(f"{len([one for one in drawing.boxes() if one.accepted])} boxes in the table")
+        with (
+            closing(Drawing(scene, recording, annotator=name, detector=_checker(detector))) as own,
+            closing(server),
+        ):
+            places = places_of(scene, own.recording)
+            bench = Workbench(
+                own, ControlPointSheet(scene), scene=scene.stem, shore=land, places_deg=places
+            )
+            server.serve(bench)
+            say(f"{name} draws in recording {own.recording}: {server.url}")
+            say("what is accepted is kept at once; Ctrl-C ends it")
+            if not no_browser and _has_screen():
+                webbrowser.open(server.url)
+            stop.wait()
+            boxes = sum(box.accepted for box in own.boxes())
+    say(f"{boxes} boxes in the table of recording {own.recording}")
 
 
 def _user() -> str:
@@ -100,7 +102,7 @@ def _checker(name: str) -> Detector | None:
         return None
     from sightline.pipeline.sources import make_detector
 
-    made: Detector = make_detector(name, None, detector_options())
+    made: Detector = make_detector(name, None, detector_options(None, None, None, None, None))
     return made
 
 

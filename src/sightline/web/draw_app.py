@@ -62,10 +62,6 @@ class _MovedPoint(_PointRequest, _PointNumber):
     pass
 
 
-class _Nothing(_Request):
-    pass
-
-
 def build_draw_app(bench: Workbench) -> FastAPI:
     """The application.
 
@@ -75,11 +71,11 @@ def build_draw_app(bench: Workbench) -> FastAPI:
     app = new_app("draw.html")
 
     @app.exception_handler(SightlineError)
-    def refused(request: Request, error: SightlineError) -> Response:
+    def refused(_request: Request, error: SightlineError) -> Response:
         return json_answer({"reason": str(error)}, 422)
 
     @app.exception_handler(RequestValidationError)
-    def invalid(request: Request, error: RequestValidationError) -> Response:
+    def invalid(_request: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         # What was sent is not said again: it may be of any size.
         where = ".".join(str(part) for part in first["loc"])
@@ -152,11 +148,11 @@ def _add_boxes(app: FastAPI, bench: Workbench) -> None:
         )
 
     @app.post("/api/undo")
-    def undo(asked: _Nothing) -> Response:
+    def undo() -> Response:
         return change(drawing.undo)
 
     @app.post("/api/redo")
-    def redo(asked: _Nothing) -> Response:
+    def redo() -> Response:
         return change(drawing.redo)
 
 
@@ -186,5 +182,5 @@ def _add_points(app: FastAPI, bench: Workbench) -> None:
         return json_answer(bench.remove_point(asked.number))
 
     @app.post("/api/points/undo")
-    def undo(asked: _Nothing) -> Response:
+    def undo() -> Response:
         return json_answer(bench.undo_point())

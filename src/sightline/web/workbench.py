@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.errors import InputError
+from sightline.scene import Scene
 from sightline.text import encodable_text
 
 if TYPE_CHECKING:
     from sightline.labelling.advice import Advice
     from sightline.labelling.control_points import ControlPointSheet
-    from sightline.labelling.drawing import DrawnBox, Drawing
+    from sightline.labelling.drawing import Drawing, DrawnBox
 
 _SUGGESTED = 30
 
@@ -90,6 +93,30 @@ class Workbench:
             InputError: There is no such frame, or it cannot be read.
         """
         return self.drawing.picture(frame)
+
+
+def places_of(scene: Path, recording: str) -> list[tuple[float, float]]:
+    """Latitude and longitude of the camera, where it is known, and corners of where the log goes.
+
+    Args:
+        scene: The scene file.
+        recording: Its name.
+
+    Raises:
+        InputError: The scene cannot be used.
+    """
+    loaded = Scene.load(scene)
+    camera = loaded.camera.place_deg
+    places = [] if camera is None else [camera]
+    try:
+        fixes = loaded[recording].fixes()
+    except InputError:
+        # Control points are wanted just where there is no log.
+        return places
+    if len(fixes):
+        north, east = fixes.latitude_deg, fixes.longitude_deg
+        places += [(float(north.min()), float(east.min())), (float(north.max()), float(east.max()))]
+    return places
 
 
 def _number(value: float) -> float | None:

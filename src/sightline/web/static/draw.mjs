@@ -523,6 +523,7 @@ function showSettings() {
 const KEYS = [
   ["n, p", "next suggested frame, the one before"],
   [", and .", "frame before, next frame"],
+  ["g", "go to a frame by its number"],
   ["arrows", "move the lower edge by a pixel; with Shift by a quarter, with Ctrl by ten"],
   ["e", "what the arrows move: lower, upper, left, right edge, the whole box"],
   ["b", "a new box where the last one was"],
@@ -544,6 +545,10 @@ const actions = {
   p: () => step(-1),
   ",": () => near(-1),
   ".": () => near(1),
+  g: () => {
+    element("frame-number").focus();
+    element("frame-number").select();
+  },
   e: () => {
     const names = PARTS.map(([name]) => name);
     setPart(names[(names.indexOf(state.part) + 1) % names.length]);
@@ -585,8 +590,12 @@ function keyed(event) {
   const { target, key } = event;
   const typing = target.closest?.("input:not([type=checkbox]), select, textarea");
   if (typing) {
-    if (key === "Escape") target.blur();
+    if (key === "Escape") element("stage").focus();
     else if (key === "Enter" && target.closest("#edges")) accept();
+    else if (key === "Enter" && target.id === "frame-number") {
+      element("stage").focus();
+      goTo(target.valueAsNumber);
+    }
     else return;
     event.preventDefault();
     return;
@@ -636,7 +645,9 @@ for (const [id, action] of [
 element("part").addEventListener("change", (event) => setPart(event.target.value));
 element("letters").addEventListener("change", () => nextSetting(settings, choices, "letters"));
 element("thin").addEventListener("change", showCells);
-element("frame-number").addEventListener("change", (event) => goTo(Number(event.target.value)));
+element("frame-number").addEventListener("change", (event) => {
+  if (event.target.valueAsNumber !== state.frame) goTo(event.target.valueAsNumber);
+});
 element("frame-slider").addEventListener("input", (event) =>
   goTo(state.frames.frame[Number(event.target.value)]));
 for (let i = 0; i < 4; i += 1) {
