@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 
 from sightline.detection import Detector
 from sightline.errors import InputError, OutputError
+from sightline.geodesy import LocalPlane
 from sightline.labelling.advice import Advice
 from sightline.labelling.box_table import Box, BoxTable, TableRow
+from sightline.labelling.expected_gain import spread_rows
+from sightline.labelling.logged_frames import LoggedFrames
+from sightline.labelling.refit import Frames, Refits, frame_times
+from sightline.labelling.suggestions import by_information, by_spread
 from sightline.scene import Recording, Scene
-from sightline.types import FloatArray, Frame, IntArray
+from sightline.types import Frame, IntArray
 from sightline.video.random_access import FramePictures
 
 NONE, DRAWN, PROPOSED = "none", "drawn", "proposed"
@@ -24,6 +29,7 @@ NONE, DRAWN, PROPOSED = "none", "drawn", "proposed"
 
 _LONGEST_NAME = 80
 _MOST_STEPS = 1000
+_MOST_CANDIDATES = 600
 
 
 @dataclass(frozen=True)
@@ -149,7 +155,7 @@ class Drawing:
                 f"{self._size_px[1]} px; boxes are drawn in pictures of full size"
             )
         self._numbers: IntArray = self._pictures.frame
-        self._time_utc_s = _times(self._recording, self._numbers)
+        self._time_utc_s = frame_times(self._recording, self._numbers)
         self._table = BoxTable(
             self._path, self._recording.name, self._recording.boxes_path, self._size_px
         )
@@ -158,6 +164,13 @@ class Drawing:
         self._undone: list[_Step] = []
         self._skipped: set[int] = set()
         self._lock = threading.RLock()
+        self._logged = self._beside_log()
+        self._refits = Refits(
+            self._path,
+            Frames(self._recording.name, self.annotator, self._numbers, self._size_px),
+        )
+        if any(one.boxes_path is not None for one in self._scene.recordings):
+            self._refits.ask()
 
     @property
     def recording(self) -> str:
@@ -174,7 +187,7 @@ class Drawing:
         drawn = {row.frame for row in self._table.rows()}
         with self._lock:
             proposed = set(self._proposed)
-        known, gap_s = self._in_log
+        known, gap_s = self._logged.known, self._logged.gap_s
         return [
             FrameSummary(
                 frame=number,
@@ -227,6 +240,7 @@ class Drawing:
             after = self._table.put(number, self.annotator, [box], expected=before)
             self._skipped.discard(number)
             self._did(number, before, after, {number: None})
+            self._refits.ask()
 
     def remove(self, frame: int) -> None:
         """Throw the proposed box of a frame away, or else the annotator's own.
@@ -246,6 +260,7 @@ class Drawing:
             if before:
                 self._table.put(number, self.annotator, [], expected=before)
                 self._did(number, before, (), {})
+                self._refits.ask()
                 return
             others = {row.annotator for row in self._table.rows() if row.frame == number}
             if others:
@@ -295,9 +310,26 @@ class Drawing:
         Args:
             count: At most so many.
         """
-        drawn = {row.frame for row in self._table.rows()} | self._skipped
-        free = [number for number in self._numbers.tolist() if number not in drawn]
-        return free[:: max(1, len(free) // max(count, 1))][: max(count, 0)]
+        drawn = np.array([row.frame for row in self._table.rows()], dtype=np.int64)
+        with self._lock:
+            closed = np.array([*drawn.tolist(), *self._skipped], dtype=np.int64)
+        _, situation = self._refits.newest()
+        if situation is not None and situation.design is not None and len(situation.views):
+            views = situation.views
+            free = ~np.isin(views.logged.frame, closed)
+            rows = by_information(
+                situation.design,
+                situation.georeferencer,
+                views,
+                free,
+                views[np.isin(views.logged.frame, drawn)],
+                count,
+            )
+            return [int(number) for number in views.logged.frame[rows]]
+        thinned = self._logged[spread_rows(len(self._logged), _MOST_CANDIDATES)]
+        free = ~np.isin(thinned.frame, closed)
+        rows = by_spread(thinned, free, drawn, self._scene.plane is not None, count)
+        return [int(number) for number in thinned.frame[rows]]
 
     def follow(
         self, frame: int, *, forward: bool = True, backward: bool = True, count: int = 40
@@ -322,15 +354,28 @@ class Drawing:
 
     def advice(self) -> Advice:
         """What the newest fit that is finished says of the boxes so far."""
-        return Advice()
+        return self._refits.newest()[0]
+
+    def wait(self, timeout_s: float = 60.0) -> bool:
+        """Wait until no fit is running; whether that came to be in time."""
+        return self._refits.wait(timeout_s)
 
     def close(self) -> None:
         """End the fit that is running, and close the pictures."""
+        self._refits.close()
         self._pictures.close()
 
-    @property
-    def _in_log(self) -> tuple[NDArray[np.bool_], FloatArray]:
-        return np.zeros(self._numbers.size, dtype=bool), np.full(self._numbers.size, np.inf)
+    def _beside_log(self) -> LoggedFrames:
+        """All frames beside the log, by the clocks as the scene has them."""
+        recording, plane = self._recording, self._scene.plane
+        if plane is None and recording.fixes_path is not None:
+            fixes = recording.fixes()
+            if len(fixes):
+                middle = np.median(fixes.latitude_deg), np.median(fixes.longitude_deg)
+                plane = LocalPlane(float(middle[0]), float(middle[1]))
+        if plane is None:
+            recording, plane = replace(recording, fixes_path=None), LocalPlane(0.0, 0.0)
+        return LoggedFrames.of(recording, self._numbers, self._time_utc_s, plane)
 
     def _go(
         self,
@@ -344,6 +389,7 @@ class Drawing:
         try:
             if frame is not None:
                 self._table.put(frame, self.annotator, rows, expected=expected)
+                self._refits.ask()
         except OutputError:
             raise
         except InputError:
@@ -416,22 +462,3 @@ def _chosen(scene: Scene, name: str | None) -> Recording:
         names = ", ".join(one.name for one in scene.recordings) or "none"
         raise InputError(f"{scene.path}: say which recording to draw in; there are {names}")
     return scene.recordings[0]
-
-
-def _times(recording: Recording, frame: IntArray) -> FloatArray:
-    """(N,) POSIX seconds of frames, NaN where nothing tells them."""
-    try:
-        clock = recording.clock()
-    except InputError:
-        return np.full(frame.size, np.nan)
-    try:
-        return np.asarray(clock.time_utc_s(frame), dtype=np.float64)
-    except InputError:
-        pass
-    out = np.full(frame.size, np.nan)
-    for i, number in enumerate(frame.tolist()):
-        try:
-            out[i] = float(clock.time_utc_s([number])[0])
-        except InputError:
-            continue
-    return out
