@@ -8,10 +8,11 @@ makes boxes of one minute alike.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sightline.camera.correlated_noise import Whitening, blocks_of
 from sightline.camera.observations import UNDER_WAY_MPS
 from sightline.camera.parameters import BIAS_M, BIAS_PX, CAMERA, POSITION, TARGET
 from sightline.camera.pinhole import project_with_jacobian
@@ -25,7 +26,20 @@ from sightline.types import FloatArray, IntArray
 AXIS_95 = float(np.sqrt(5.991464547))
 """The larger semi-axis of a 95 % ellipse, over its standard deviation."""
 
-_HIDDEN_BELOW_MPS = UNDER_WAY_MPS
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Derivatives of the feet of N boxes.
+
+    Attributes:
+        jacobian: (N, 2, Q) float64, of column and row by the parameters.
+        by_place: (N, 2, 2) float64, by the place, pixels a metre east and north.
+        by_up: (N, 2) float64, by the height of the water, pixels a metre.
+    """
+
+    jacobian: FloatArray
+    by_place: FloatArray
+    by_up: FloatArray
 
 
 class Design:
@@ -51,6 +65,7 @@ class Design:
         """
         self._model: CameraRegressor = camera_of(georeferencer)
         self._georeferencer = georeferencer
+        self._height_m = self._model.camera_.height_m
         fit, prior = self._model.fit_, self._model.prior or CameraPrior()
         self._recording, self._annotator, own = recording, annotator, fit.vector.size
         sigma: list[float] = []
@@ -82,13 +97,13 @@ class Design:
         """(2,) where the camera stands, metres east and north."""
         return self.vector[POSITION]
 
-    def jacobian(
+    def derivatives(
         self,
         at: LoggedFrames,
         above_m: FloatArray,
         sources: Sequence[str] | None = None,
         recordings: Sequence[str] | None = None,
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Derivatives:
         """Derivatives of the feet of boxes.
 
         Args:
@@ -96,9 +111,6 @@ class Design:
             above_m: (N,) or one number, how high the water stands above the plane of the camera.
             sources: (N,) who draws each. Absent: the annotator.
             recordings: (N,) in which each is. Absent: in that of the design.
-
-        Returns:
-            (N, 2, Q) by the parameters, and (N, 2, 2) by the place, pixels a metre.
         """
         v, n = self.vector, len(at)
         slots = np.array([self._slots[name] for name in sources or [self._annotator] * n])
@@ -109,7 +121,7 @@ class Design:
         speed = np.hypot(*at.velocity_mps.T)
         cosine = np.sum(unit * at.velocity_mps, axis=1) / np.maximum(speed, 1e-9)
         aspect = np.stack([np.abs(cosine), np.sqrt(np.maximum(1.0 - cosine**2, 0.0))], axis=1)
-        aspect[speed < _HIDDEN_BELOW_MPS] = ANY_ASPECT
+        aspect[speed < UNDER_WAY_MPS] = ANY_ASPECT
         foot = at.east_north_m - unit * (aspect @ v[TARGET])[:, None]
         above = above_m + v[slots + BIAS_M]
         _, by_camera, by_foot = project_with_jacobian(
@@ -127,28 +139,48 @@ class Design:
             own = np.ones(n, dtype=bool) if recordings is None else np.array(recordings) == name
             if name in self._clocks:
                 out[own, :, self._clocks[name]] = late[own]
-        return out, by_foot[:, :, :2]
+        return Derivatives(out, by_foot[:, :, :2], by_foot[:, :, 2])
 
-    def pixel_covariance(self, at: LoggedFrames, by_place: FloatArray) -> FloatArray:
-        """(2 N, 2 N) covariance of the feet of boxes, square pixels, column and row of each."""
-        noise, n = self._model.fit_.noise, len(at)
-        slant = np.hypot(
-            np.hypot(*(at.east_north_m - self.vector[POSITION]).T), self._model.camera_.height_m
-        )
-        own = np.stack(noise.variances_px2((self._model.camera_.focal_px / slant) ** 2), axis=1)
-        apart_s = np.abs(at.time_utc_s[:, None] - at.time_utc_s[None, :])
-        alike = np.exp(-apart_s / max(noise.correlation_time_s, 1e-3))
-        place = noise.correlated_m**2 * alike
-        lasts = np.exp(-apart_s / max(noise.lasting_time_s, 1e-3))
-        place += noise.lasting_m**2 * lasts
-        place[range(n), range(n)] += noise.place_m**2 + np.square(at.sigma_m)
-        out = np.einsum("nij,nm,mkj->nimk", by_place, place, by_place)
-        last = np.array(noise.lasting_px2())
-        for axis in (0, 1):
-            out[:, axis, :, axis] += last[axis] * lasts
-        out = out.reshape(2 * n, 2 * n)
-        out[range(2 * n), range(2 * n)] += own.ravel()
+    def noise_px2(self, at: LoggedFrames, derivatives: Derivatives) -> FloatArray:
+        """(N, 2, 2) covariances of single feet: of all but what is the same for all of them."""
+        noise, by_place = self._model.fit_.noise, derivatives.by_place
+        out = np.einsum("nij,nkj->nik", by_place, by_place)
+        place = noise.place_m**2 + noise.correlated_m**2 + noise.lasting_m**2
+        out *= (place + np.square(at.sigma_m))[:, None, None]
+        own = self._own_px2(at) + np.array(noise.lasting_px2())
+        out[:, [0, 1], [0, 1]] += own
         return np.asarray(out)
+
+    def whitening(
+        self,
+        at: LoggedFrames,
+        derivatives: Derivatives,
+        recordings: Sequence[str] | None = None,
+        weight: FloatArray | float = 1.0,
+    ) -> Whitening:
+        """The whitening of the feet of N boxes, as a fit of them would have it.
+
+        Args:
+            at: (N,) places of the target.
+            derivatives: Of these.
+            recordings: As for `derivatives`.
+            weight: (N,) or one number: how much each counts, 0 to 1.
+        """
+        noise, by_place = self._model.fit_.noise, derivatives.by_place
+        names = [self._recording] * len(at) if recordings is None else list(recordings)
+        log = np.unique(names, return_inverse=True)[1].astype(np.int64)
+        variance = self._own_px2(at) + noise.place_m**2 * np.sum(by_place**2, axis=2)
+        speed = np.hypot(*at.velocity_mps.T)
+        steered = speed >= UNDER_WAY_MPS
+        bow = at.velocity_mps / np.maximum(speed, 1e-9)[:, None] * steered[:, None]
+        return Whitening(
+            blocks_of(at.time_utc_s, log, at.sigma_m, np.stack([at.time_utc_s] * 2, axis=1)),
+            variance / np.broadcast_to(weight, (len(at),))[:, None],
+            by_place,
+            noise,
+            derivatives.by_up,
+            self.vector[TARGET.start] * bow,
+        )
 
     def information(
         self, at: LoggedFrames, above_m: FloatArray, sources: Sequence[str] | None = None
@@ -156,10 +188,15 @@ class Design:
         """(Q, Q) what boxes add to the inverse of the covariance."""
         if not len(at):
             return np.zeros_like(self.covariance)
-        jacobian, by_place = self.jacobian(at, above_m, sources)
-        flat = jacobian.reshape(-1, self.vector.size)
-        whole = self.pixel_covariance(at, by_place)
-        return np.asarray(flat.T @ np.linalg.solve(whole, flat))
+        found = self.derivatives(at, above_m, sources)
+        white = self.whitening(at, found).forward(found.jacobian)
+        flat = white.reshape(-1, self.vector.size)
+        return np.asarray(flat.T @ flat)
+
+    def _own_px2(self, at: LoggedFrames) -> FloatArray:
+        slant = np.hypot(np.hypot(*(at.east_north_m - self.place_m).T), self._height_m)
+        scale = (self._model.camera_.focal_px / slant) ** 2
+        return np.stack(self._model.fit_.noise.variances_px2(scale), axis=1)
 
     def after(self, added: FloatArray) -> FloatArray:
         """(Q, Q) covariance after boxes that add information (Q, Q)."""

@@ -36,7 +36,8 @@ _MOST_VIEWS = 400
 _MOST_AXES = 120
 _ODD_SIGMAS = 3.7
 _MOST_ODD = 8
-_MOST_LEVERAGE = 0.95
+_HUBER = 2.0
+_LEAST_LEFT, _TINY = 0.05, 1e-12
 # Clocks are looked for anew when there are so many times more boxes.
 _SETTLE_AGAIN = 1.5
 _COLUMNS, _ROWS = 8, 4
@@ -352,29 +353,34 @@ def _left_out(
         return None
     at, n = _as_logged(taught), len(taught)
     level = taught.water_level_m if fitted.water_level_m is not None else None
-    jacobian, by_place = design.jacobian(
+    found = design.derivatives(
         at,
         np.broadcast_to(fitted.above_m(level), (n,)),
         taught.boxes.source.tolist(),
         taught.recording.tolist(),
     )
-    residual = camera_of(fitted).fit_.residual_px[:n]
-    own = np.stack([design.pixel_covariance(at[[i]], by_place[[i]]) for i in range(n)])
-    known = np.einsum("nij,jk,nlk->nil", jacobian, design.covariance, jacobian)
-    # What the fit has of a box is at most what the box says.
-    root = np.linalg.cholesky(own)
-    half = np.swapaxes(np.linalg.solve(root, known), 1, 2)
-    values, vectors = np.linalg.eigh(np.linalg.solve(root, half))
-    weight = 1.0 / (1.0 - np.minimum(values, _MOST_LEVERAGE))
-    for i, box in enumerate(fitted.report.boxes):
-        if box.outlier:
-            weight[i] = 1.0
-    white = np.linalg.solve(root, residual[:, :, None])[:, :, 0]
-    turned = np.einsum("nji,nj->ni", vectors, white)
-    back = np.einsum("nij,nj->ni", vectors, weight * turned)
-    off_px = np.einsum("nij,nj->ni", root, back)
-    place = np.linalg.solve(by_place + 1e-12 * np.eye(2), off_px[:, :, None])[:, :, 0]
-    sigmas = np.sqrt(np.sum(weight * turned**2, axis=1))
+    fit_ = camera_of(fitted).fit_
+    residual = fit_.residual_px[:n]
+    # Of a box that disagrees the fit takes little.
+    weight = np.minimum(1.0, _HUBER / np.maximum(fit_.standard_residual[:n], 1e-9))
+    white = design.whitening(at, found, taught.recording.tolist(), weight)
+    root = white.forward(np.eye(2 * n).reshape(n, 2, 2 * n)).reshape(2 * n, 2 * n)
+    precision = root.T @ root
+    pull = (precision @ residual.ravel()).reshape(n, 2)
+    onto = (precision @ found.jacobian.reshape(2 * n, -1)).reshape(n, 2, -1)
+    off_px, sigmas = np.empty((n, 2)), np.empty(n)
+    for i in range(n):
+        own = np.linalg.inv(precision[2 * i : 2 * i + 2, 2 * i : 2 * i + 2])
+        # What is left of a box, and of its derivatives, beside the others.
+        alone, slope = own @ pull[i], own @ onto[i]
+        spread = design.covariance @ slope.T
+        inner = own - slope @ spread
+        # A box that alone carries a parameter has nothing beside it to be held against.
+        inner += _LEAST_LEFT * own
+        held = np.linalg.solve(inner, alone)
+        off_px[i] = residual[i] + found.jacobian[i] @ spread @ held
+        sigmas[i] = np.sqrt(max(float(alone @ held), 0.0))
+    place = np.linalg.solve(found.by_place + _TINY * np.eye(2), off_px[:, :, None])[:, :, 0]
     return _LeftOut(np.hypot(*place.T), sigmas, off_px)
 
 

@@ -15,6 +15,7 @@ from sightline.types import BoolArray, FloatArray, IntArray
 # Boxes nearer to each other than this share of the picture, or of the range, or of the time, say
 # much the same, whatever a fit believes of its own form.
 _APART_PICTURE, _APART_RANGE, _APART_TIME = 0.08, 0.25, 0.05
+_TINY = 1e-9
 _SHOWN_PX = 3.0
 """Lower boxes cannot be drawn."""
 
@@ -80,12 +81,10 @@ def by_information(
     """
     if not len(views):
         return np.empty(0, dtype=np.int64)
-    jacobian, by_place = design.jacobian(views.logged, views.above_m)
-    noise = np.stack(
-        [design.pixel_covariance(views.logged[[i]], by_place[[i]]) for i in range(len(views))]
-    )
+    found = design.derivatives(views.logged, views.above_m)
+    jacobian, noise = found.jacobian, design.noise_px2(views.logged, found)
     # A place moves against the pixel, as far as the parameters are off.
-    moved = np.linalg.solve(by_place + 1e-9 * np.eye(2), jacobian)
+    moved = np.linalg.solve(found.by_place + _TINY * np.eye(2), jacobian)
     distance = np.hypot(*(views.logged.east_north_m - design.place_m).T)
     weight = 1.0 / np.square(np.maximum(distance, 1.0))
     aim = np.einsum("n,nij,nik->jk", weight, moved, moved)
