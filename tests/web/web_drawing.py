@@ -7,12 +7,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
 from web_browser import Browser
 
+from sightline.labelling.control_points import ControlPointSheet
 from sightline.labelling.drawing import Drawing
 from sightline.simulation import SimulationSettings, simulate
 from sightline.web.draw_server import DrawServer
-from sightline.web.workbench import Workbench, places_of
+from sightline.web.workbench import Workbench
 
 SCENE = """\
 [camera]
@@ -65,12 +68,8 @@ def served(scene: Path, *, annotator: str = "ada", **options) -> Iterator[DrawSe
     """The page of a scene's only recording."""
     drawing = Drawing(scene, annotator=annotator)
     server = DrawServer("127.0.0.1:0")
-    places = places_of(scene, drawing.recording)
     try:
-        sheet = None
-        server.serve(
-            Workbench(drawing, sheet, **{"scene": "dock", "places_deg": places, **options})
-        )
+        server.serve(Workbench(scene, drawing, ControlPointSheet(scene), **options))
         yield server
     finally:
         server.close()
@@ -161,3 +160,24 @@ class Hand:
             f"one => one.frame === {frame} && one.accepted)"
         )
         self.page.until("sightline.state.shown")
+
+
+def small_scene(folder: Path) -> Path:
+    """Six pictures of 64 x 48 px, a second apart, and a log beside them."""
+    (folder / "frames").mkdir()
+    noise = np.random.default_rng(0)
+    for frame in range(6):
+        rough = noise.integers(0, 255, (6, 8, 3), dtype=np.uint8)
+        picture = Image.fromarray(rough).resize((64, 48), Image.Resampling.BICUBIC)
+        picture.save(folder / "frames" / f"{frame:06d}.png")
+    times = [f"2024-06-01T10:00:{second:02d}Z" for second in range(6)]
+    clock = ["frame,utc", *(f"{frame},{time}" for frame, time in enumerate(times))]
+    (folder / "clock.csv").write_text("\n".join(clock), encoding="utf-8")
+    log = ["time_utc,latitude_deg,longitude_deg"]
+    log += [f"{time},{54.3243 + 1e-5 * i:.6f},10.1394" for i, time in enumerate(times)]
+    (folder / "log.csv").write_text("\n".join(log), encoding="utf-8")
+    path = folder / "scene.toml"
+    lines = ["[camera]", "latitude_deg = 54.3233", "longitude_deg = 10.1394", "[[recordings]]"]
+    lines += ['name = "01"', 'frames = "frames"', 'clock = "clock.csv"', 'fixes = "log.csv"']
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

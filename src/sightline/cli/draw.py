@@ -67,7 +67,7 @@ def draw(
         from sightline.live.config import page_token
         from sightline.web.draw_server import DrawServer
         from sightline.web.server import read_shore
-        from sightline.web.workbench import Workbench, places_of
+        from sightline.web.workbench import Workbench
 
         server = DrawServer(serve, token=page_token(str(token_file) if token_file else None))
         land = None if shore is None else read_shore(shore)
@@ -76,11 +76,7 @@ def draw(
             closing(Drawing(scene, recording, annotator=name, detector=_checker(detector))) as own,
             closing(server),
         ):
-            places = places_of(scene, own.recording)
-            bench = Workbench(
-                own, ControlPointSheet(scene), scene=scene.stem, shore=land, places_deg=places
-            )
-            server.serve(bench)
+            server.serve(Workbench(scene, own, ControlPointSheet(scene), shore=land))
             say(f"{name} draws in recording {own.recording}: {server.url}")
             say("what is accepted is kept at once; Ctrl-C ends it")
             if not no_browser and _has_screen():

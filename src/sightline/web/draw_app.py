@@ -101,6 +101,10 @@ def _add_shown(app: FastAPI, bench: Workbench) -> None:
     def state() -> Response:
         return json_answer(bench.state())
 
+    @app.get("/api/expected/{frame}")
+    def expected(frame: _FrameInPath) -> Response:
+        return json_answer(bench.expected(frame))
+
     @app.get("/shore.geojson")
     def shore() -> Response:
         if bench.shore is None:

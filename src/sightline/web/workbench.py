@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.scene import Scene
+from sightline.labelling.expected import TargetSize, expect, place_of
+from sightline.scene import Recording, Scene
 from sightline.text import encodable_text
 
 if TYPE_CHECKING:
@@ -26,32 +27,36 @@ class Workbench:
     """One drawing and one sheet of control points, for any number of pages at once.
 
     Args:
-        drawing: The boxes.
-        sheet: The control points.
-        scene: Its name, as the page shows it.
+        scene: The scene file.
+        drawing: The boxes of one of its recordings.
+        sheet: Its control points.
         shore: GeoJSON that the map shows, or None.
-        places_deg: (latitude, longitude) of what the map is to show at first.
+
+    Raises:
+        InputError: The scene cannot be used.
     """
 
     def __init__(
         self,
+        scene: Path,
         drawing: Drawing,
         sheet: ControlPointSheet,
         *,
-        scene: str = "",
         shore: bytes | None = None,
-        places_deg: Sequence[tuple[float, float]] = (),
     ) -> None:
+        loaded = Scene.load(scene)
         self.drawing = drawing
         self.sheet = sheet
         self.shore = shore
-        self._scene = scene
-        self._places_deg = places_deg
+        self._name = loaded.camera.name or scene.stem
+        self._recording = loaded[drawing.recording]
+        self._places_deg = _places(loaded, self._recording)
+        self._time_utc_s = {one.frame: one.time_utc_s for one in drawing.frames()}
 
     def about(self) -> dict[str, object]:
         """What does not change while it is served."""
         return {
-            "scene": encodable_text(self._scene),
+            "scene": encodable_text(self._name),
             "recording": encodable_text(self.drawing.recording),
             "annotator": encodable_text(self.drawing.annotator),
             "frame_size_px": list(self.drawing.frame_size_px),
@@ -86,6 +91,28 @@ class Workbench:
         count = len(result) if isinstance(result, list) else int(result is not False)
         return {**self.state(), "count": count}
 
+    def expected(self, frame: int) -> dict[str, object]:
+        """Where the newest fit has the logged target in a frame, if it knows.
+
+        Args:
+            frame: Its number.
+        """
+        nothing: dict[str, object] = {"box_px": None}
+        model = self.drawing.advice().georeferencer
+        time_utc_s = self._time_utc_s.get(frame, math.nan)
+        if model is None or not math.isfinite(time_utc_s):
+            return nothing
+        times = np.array([time_utc_s])
+        try:
+            levels = self._recording.water_levels()
+            place = place_of(self._recording, model, times)
+            found = expect(place, model, TargetSize(), None if levels is None else levels.at(times))
+        except InputError:
+            # It is a hint: what there is to be said of log and fit, the advice says.
+            return nothing
+        box = found.xyxy_px[0]
+        return {"box_px": box.tolist()} if np.isfinite(box).all() else nothing
+
     def picture(self, frame: int) -> NDArray[np.uint8]:
         """A frame's picture, (H, W, 3), blue, green, red.
 
@@ -95,21 +122,12 @@ class Workbench:
         return self.drawing.picture(frame)
 
 
-def places_of(scene: Path, recording: str) -> list[tuple[float, float]]:
-    """Latitude and longitude of the camera, where it is known, and corners of where the log goes.
-
-    Args:
-        scene: The scene file.
-        recording: Its name.
-
-    Raises:
-        InputError: The scene cannot be used.
-    """
-    loaded = Scene.load(scene)
-    camera = loaded.camera.place_deg
+def _places(scene: Scene, recording: Recording) -> list[tuple[float, float]]:
+    """Latitude and longitude of the camera, where it is known, and corners of where the log goes."""
+    camera = scene.camera.place_deg
     places = [] if camera is None else [camera]
     try:
-        fixes = loaded[recording].fixes()
+        fixes = recording.fixes()
     except InputError:
         # Control points are wanted just where there is no log.
         return places

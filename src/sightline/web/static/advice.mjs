@@ -4,6 +4,8 @@ import { metres, number, plain } from "/static/words.mjs";
 
 const element = (id) => document.getElementById(id);
 
+const MOST_ODD = 5;
+
 export class Advice {
   /** @param {(frame: number) => void} goTo Called with the frame of an odd box. */
   constructor(goTo) {
@@ -40,7 +42,7 @@ export class Advice {
       const sigma = one.sigma === null ? "" : ` ± ${number(one.sigma)}`;
       const value = one.value === null ? "–" : number(one.value);
       const unsure = one.determined ? "" : ", not determined";
-      rows.push([plain(one.name).replaceAll("_", " "), `${value}${sigma} ${one.unit}${unsure}`]);
+      rows.push([plain(one.name).replace(/_(?:m|deg|px)$/u, "").replaceAll("_", " "), `${value}${sigma} ${one.unit}`.trim() + unsure]);
     }
     const known = JSON.stringify(rows);
     if (known === this.rows) return;
@@ -56,10 +58,11 @@ export class Advice {
   showOdd(odd, recording) {
     element("odd-section").hidden = !odd.length;
     const known = JSON.stringify(odd);
+    put(element("odd-title"), odd.length > MOST_ODD ? `Odd boxes (${odd.length})` : "Odd boxes");
     // A list that stays as it was keeps the focus that somebody has set.
     if (known === this.odd) return;
     this.odd = known;
-    element("odd").replaceChildren(...odd.map((one) => {
+    element("odd").replaceChildren(...odd.slice(0, MOST_ODD).map((one) => {
       const item = document.createElement("li");
       const why = document.createElement("span");
       why.textContent = plain(one.why);

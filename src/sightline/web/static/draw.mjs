@@ -24,7 +24,7 @@ const choices = { theme: ["auto", "light", "dark"], letters: ["on", "off"] };
 const settings = keptSettings(choices);
 const state = {
   scene: null, frames: null, boxes: [], suggested: [], advice: null, frame: null, mode: "boxes",
-  part: "lower", busy: false, shown: false, unsaved: false, lastBox: null,
+  part: "lower", busy: false, shown: false, unsaved: false, lastBox: null, expected: null,
 };
 const pictures = new Map();
 let crop = null;
@@ -87,6 +87,8 @@ async function goTo(frame) {
   state.frame = frame;
   state.unsaved = false;
   state.shown = false;
+  state.expected = null;
+  stage.hint = null;
   takeBox();
   showFrame();
   try {
@@ -98,11 +100,26 @@ async function goTo(frame) {
     look();
     state.shown = true;
     document.documentElement.dataset.ready = "true";
+    askExpected(frame);
     // The next one is there before it is asked for.
     const after = following(frame);
     if (after !== null) picture(after).catch(() => {});
   } catch (error) {
     say(error.message, "refused");
+  }
+}
+
+/** Point at where log and fit have it, which is no box yet. */
+async function askExpected(frame) {
+  try {
+    const { box_px: box } = await ask(`/api/expected/${frame}`);
+    if (state.frame !== frame) return;
+    state.expected = box;
+    stage.hint = box && [(box[0] + box[2]) / 2, box[1]];
+    if (box && stage.zoomed && !stage.box) stage.bring([(box[0] + box[2]) / 2, box[3]]);
+    stage.paint();
+  } catch {
+    // It is found without.
   }
 }
 
@@ -439,12 +456,15 @@ async function back(path, words) {
   });
 }
 
-/** A box for those who do not drag: where the last one was, else in the middle. */
+/** A box for those who do not drag: where it is expected, where the last one was, or in the middle. */
 function newBox() {
   if (!state.scene) return;
   const [width, height] = state.scene.frame_size_px;
-  stage.box = state.lastBox ? [...state.lastBox]
-    : [0.475 * width, 0.475 * height, 0.525 * width, 0.525 * height].map(Math.round);
+  const { expected } = state;
+  const inside = expected && expected[0] >= 0 && expected[1] >= 0
+    && expected[2] <= width && expected[3] <= height;
+  stage.box = (inside ? expected.map(Math.round) : null) ?? state.lastBox?.slice()
+    ?? [0.475 * width, 0.475 * height, 0.525 * width, 0.525 * height].map(Math.round);
   edited();
   stage.bring([(stage.box[0] + stage.box[2]) / 2, stage.box[3]]);
 }
@@ -526,7 +546,7 @@ const KEYS = [
   ["g", "go to a frame by its number"],
   ["arrows", "move the lower edge by a pixel; with Shift by a quarter, with Ctrl by ten"],
   ["e", "what the arrows move: lower, upper, left, right edge, the whole box"],
-  ["b", "a new box where the last one was"],
+  ["b", "a new box where it is expected, or where the last one was"],
   ["Enter", "accept, and go on"],
   ["Delete", "throw the box away; without one, leave the frame out"],
   ["f", "follow: propose it in the frames around"],

@@ -13,7 +13,7 @@ const SILENT_MS = 5000;
 const LIST_MS = 500;
 const HEALTH_MS = 5000;
 
-const choices = { units: ["kn", "km/h"], zone: ["UTC", "local"], theme: ["auto", "light", "dark"] };
+const choices = { units: ["kn", "km/h"], zone: ["UTC", "local"], theme: ["auto", "light", "dark"], letters: ["on", "off"] };
 const settings = keptSettings(choices);
 
 const state = { moment: null, chosen: null, arrivedMs: 0, drawn: true, connected: false };
@@ -142,6 +142,7 @@ function applySettings() {
   element("units").textContent = settings.units;
   element("zone").textContent = settings.zone;
   element("theme").textContent = capital(settings.theme);
+  element("letters").textContent = `Keys ${settings.letters}`;
   chart?.setUnits(settings.units);
   applyTheme();
   list();
@@ -159,11 +160,13 @@ const actions = {
   d: () => next("theme"),
   Escape: () => choose(null),
 };
+element("letters").addEventListener("click", () => next("letters"));
 for (const [id, key] of [["fit", "f"], ["units", "u"], ["zone", "t"], ["theme", "d"]]) {
   element(id).addEventListener("click", actions[key]);
 }
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key.length === 1 && settings.letters === "off") return;
   actions[event.key]?.();
 });
 whenThemeChanges(applyTheme);

@@ -31,6 +31,7 @@ export class Stage extends EventTarget {
     this.cells = [];
     this.points = [];
     this.point = null;
+    this.hint = null;
     this.mode = "boxes";
     this.scale = 1;
     this.offset = [0, 0];
@@ -333,6 +334,7 @@ export class Stage extends EventTarget {
       if (this.point) this.paintPoint(context, this.point, LINES.proposed, "");
       return;
     }
+    if (this.hint && !this.box) this.paintHint(context);
     for (const { box, name } of this.others) this.paintBox(context, box, LINES.other, [5, 3], name);
     if (this.box) {
       this.paintBox(context, this.box, LINES[this.kind], this.kind === "proposed" ? [6, 3] : [], "");
@@ -381,6 +383,21 @@ export class Stage extends EventTarget {
       context.stroke();
     }
     if (name) label(context, name, x + 8, y - 6);
+  }
+
+  /** Point down at where it is expected, and leave the boat itself to the eye. */
+  paintHint(context) {
+    const [x, y] = this.toCss(this.hint);
+    context.beginPath();
+    context.moveTo(x, y - 10);
+    context.lineTo(x - 8, y - 24);
+    context.lineTo(x + 8, y - 24);
+    context.closePath();
+    context.fillStyle = LINES.proposed;
+    context.strokeStyle = "rgba(0, 0, 0, 0.8)";
+    context.lineWidth = 2;
+    context.stroke();
+    context.fill();
   }
 
   /** Hatch the parts of the picture where boxes are wanted. */
