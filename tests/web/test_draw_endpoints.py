@@ -63,7 +63,13 @@ def test_a_box_is_in_the_table_when_it_is_answered(asked: TestClient, scene: Pat
     (box,) = answer.json()["boxes"]
     assert (box["frame"], box["box_px"], box["annotator"]) == (2, BOX["box_px"], "ada")
     (row,) = rows(scene)
-    assert [float(row[name]) for name in ("frame", "x1", "y1", "x2", "y2")] == [2, 4, 5, 20.5, 30.25]
+    assert [float(row[name]) for name in ("frame", "x1", "y1", "x2", "y2")] == [
+        2,
+        4,
+        5,
+        20.5,
+        30.25,
+    ]
     assert asked.request("DELETE", "/api/boxes", json={"frame": 2}).json()["boxes"] == []
     assert rows(scene) == []
     assert asked.post("/api/undo", json={}).json()["count"] == 1
@@ -141,9 +147,7 @@ def test_there_is_nothing_else(path: str, asked: TestClient) -> None:
         '{"frame": 2, "box_px": [4, 5, 20, 30], "path": "/etc/passwd"}',
     ],
 )
-def test_a_box_that_is_none_is_refused_in_a_line(
-    body: str, asked: TestClient, scene: Path
-) -> None:
+def test_a_box_that_is_none_is_refused_in_a_line(body: str, asked: TestClient, scene: Path) -> None:
     before = scene.read_bytes()
     answer = asked.put("/api/boxes", content=body, headers={"content-type": "application/json"})
     assert answer.status_code in (400, 422)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import numpy as np
 import pytest
 from web_browser import Browser, browser
 from web_drawing import Box, Hand, harbour, served, truth, undrawn
-from web_moments import HOSTILE
 
 from sightline.formats import read_boxes
 from sightline.geodesy import LocalPlane

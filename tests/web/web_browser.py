@@ -130,7 +130,11 @@ class Browser:
         buttons = int(held and kind != "mouseReleased")
         self.call(
             "Input.dispatchMouseEvent",
-            **{"type": kind, "x": x, "y": y, "button": button, "buttons": buttons},
+            type=kind,
+            x=x,
+            y=y,
+            button=button,
+            buttons=buttons,
             clickCount=int(held),
         )
 

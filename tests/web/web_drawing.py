@@ -125,7 +125,9 @@ class Hand:
                 break
             self.page.call(
                 "Input.dispatchMouseEvent",
-                **{"type": "mouseWheel", "x": middle[0], "y": middle[1]},
+                type="mouseWheel",
+                x=middle[0],
+                y=middle[1],
                 deltaX=0,
                 deltaY=-100,
             )
