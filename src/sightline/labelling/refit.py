@@ -37,7 +37,7 @@ _MOST_AXES = 120
 _ODD_SIGMAS = 3.7
 _MOST_ODD = 8
 _HUBER = 2.0
-_LEAST_LEFT, _TINY = 0.05, 1e-12
+_LEAST_LEFT, _LEAST_LEVERAGE, _TINY = 0.05, 0.05, 1e-12
 # Clocks are looked for anew when there are so many times more boxes.
 _SETTLE_AGAIN = 1.5
 _COLUMNS, _ROWS = 8, 4
@@ -374,10 +374,13 @@ def _left_out(
         # What is left of a box, and of its derivatives, beside the others.
         alone, slope = own @ pull[i], own @ onto[i]
         spread = design.covariance @ slope.T
-        inner = own - slope @ spread
+        # The covariance has doubts beyond what the fit takes of a box, which its leverage tells.
+        known = slope @ spread
+        taken = float(np.trace(np.linalg.solve(own, known)))
+        share = min(1.0, max(float(fit_.leverage[i]), _LEAST_LEVERAGE) / max(taken, _TINY))
         # A box that alone carries a parameter has nothing beside it to be held against.
-        inner += _LEAST_LEFT * own
-        held = np.linalg.solve(inner, alone)
+        spread = share * spread
+        held = np.linalg.solve(own - share * known + _LEAST_LEFT * own, alone)
         off_px[i] = residual[i] + found.jacobian[i] @ spread @ held
         sigmas[i] = np.sqrt(max(float(alone @ held), 0.0))
     place = np.linalg.solve(found.by_place + _TINY * np.eye(2), off_px[:, :, None])[:, :, 0]
