@@ -14,7 +14,7 @@ from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.advice import Advice, OddBox, ThinCell
-from sightline.labelling.expected import TargetSize, camera_of
+from sightline.labelling.expected import Expected, TargetSize, camera_of
 from sightline.labelling.expected_gain import Design, axes_95_m, spread_rows
 from sightline.labelling.logged_frames import LoggedFrames
 from sightline.labelling.suggestions import Views, by_information, in_picture, median_axis_m
@@ -266,6 +266,17 @@ def logged_by(recording: Recording, frame: IntArray, fitted: Georeferencer) -> L
     taken_off_s = recording.clock_offset_s
     late_s = fitted.report.clock_offset_s.get(recording.name, -taken_off_s) + taken_off_s
     return LoggedFrames.of(recording, frame, frame_times(recording, frame) + late_s, fitted.plane)
+
+
+def expected_in(recording: Recording, frame: IntArray, fitted: Georeferencer) -> Expected:
+    """The boxes that a fit and the log expect in frames.
+
+    Args:
+        recording: Whose frames.
+        frame: (N,) frames.
+        fitted: Has a camera that stands still.
+    """
+    return logged_by(recording, frame, fitted).expected(recording, fitted, _size(fitted))
 
 
 def frame_times(recording: Recording, frame: IntArray) -> FloatArray:
