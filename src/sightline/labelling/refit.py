@@ -154,17 +154,14 @@ class Refits:
             self._advice, self._situation = advice, situation
 
     def _scene(self) -> tuple[Scene, int]:
-        """The scene as it is now, without tables that hold no box yet, and how many there are."""
-        scene = Scene.load(self._path)
-        kept, count = [], 0
-        for recording in scene.recordings:
-            if recording.boxes_path is not None:
-                if _is_empty(recording.boxes_path):
-                    recording = replace(recording, boxes_path=None)
-                elif recording.fixes_path is not None:
-                    count += len(recording.boxes())
-            kept.append(recording)
-        return replace(scene, recordings=tuple(kept)), count
+        """The scene as it is now, and how many boxes there are to learn from."""
+        scene = without_empty_tables(Scene.load(self._path))
+        boxes = sum(
+            len(one.boxes())
+            for one in scene.recordings
+            if one.boxes_path is not None and one.fixes_path is not None
+        )
+        return scene, boxes
 
     def _settle(self, scene: Scene, boxes: int) -> None:
         self._settled_at = max(boxes, 1)
@@ -186,6 +183,19 @@ class Refits:
             return replace(one, clock_offset_s=offset_s, clock_found=found)
 
         return replace(scene, recordings=tuple(map(clocked, scene.recordings)))
+
+
+def without_empty_tables(scene: Scene) -> Scene:
+    """The scene without those tables of boxes whose last box was thrown away."""
+    return replace(
+        scene,
+        recordings=tuple(
+            replace(one, boxes_path=None)
+            if one.boxes_path is not None and _is_empty(one.boxes_path)
+            else one
+            for one in scene.recordings
+        ),
+    )
 
 
 def _is_empty(path: Path) -> bool:
