@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,11 +17,13 @@ from sightline.geodesy import LocalPlane
 from sightline.labelling.advice import Advice
 from sightline.labelling.box_table import Box, BoxTable, TableRow
 from sightline.labelling.expected_gain import spread_rows
+from sightline.labelling.following import LONGEST_STEP_S, Followed, follow_box, where_expected
 from sightline.labelling.logged_frames import LoggedFrames
-from sightline.labelling.refit import Frames, Refits, frame_times
+from sightline.labelling.refit import Frames, Refits, Situation, expected_in, frame_times
+from sightline.labelling.snapping import Background
 from sightline.labelling.suggestions import by_information, by_spread
 from sightline.scene import Recording, Scene
-from sightline.types import Frame, IntArray
+from sightline.types import FloatArray, Frame, IntArray
 from sightline.video.random_access import FramePictures
 
 NONE, DRAWN, PROPOSED = "none", "drawn", "proposed"
@@ -30,6 +32,8 @@ NONE, DRAWN, PROPOSED = "none", "drawn", "proposed"
 _LONGEST_NAME = 80
 _MOST_STEPS = 1000
 _MOST_CANDIDATES = 600
+_MOST_OF_BACKGROUND, _FEWEST_OF_BACKGROUND = 40, 3
+_LEAST_SURE = 0.15
 
 
 @dataclass(frozen=True)
@@ -164,6 +168,8 @@ class Drawing:
         self._undone: list[_Step] = []
         self._skipped: set[int] = set()
         self._lock = threading.RLock()
+        self._following = threading.Lock()
+        self._background: Background | None = None
         self._logged = self._beside_log()
         self._refits = Refits(
             self._path,
@@ -334,7 +340,11 @@ class Drawing:
     def follow(
         self, frame: int, *, forward: bool = True, backward: bool = True, count: int = 40
     ) -> list[DrawnBox]:
-        """Propose boxes in the frames around a drawn one.
+        """Propose boxes in the frames around a drawn one, as far as it is sure.
+
+        Where frames are more than a second apart, boats look too different to be followed: then the
+        newest fit and the log say where to look. Frames in which anybody has drawn stay as they
+        are. One `undo` takes all that was proposed back.
 
         Args:
             frame: Has a box.
@@ -346,11 +356,31 @@ class Drawing:
             What is proposed.
 
         Raises:
-            InputError: There is no such frame, or no box in it.
+            InputError: There is no such frame, no box in it, or a frame cannot be decoded.
         """
-        self._checked(frame)
-        del forward, backward, count
-        return []
+        at = int(np.searchsorted(self._numbers, self._checked(frame)))
+        box = self._box_of(frame)
+        most = max(count, 0)
+        ways = []
+        if forward:
+            ways.append(self._numbers[at : at + 1 + most])
+        if backward:
+            ways.append(self._numbers[max(at - most, 0) : at + 1][::-1])
+        _, situation = self._refits.newest()
+        expected = self._expected(situation)
+        found: dict[int, Followed] = {}
+        apart: list[int] = []
+        with self._following:
+            for way in ways:
+                steps = follow_box(
+                    self._frames_of(way.tolist()), box, expected=expected, detector=self._detector
+                )
+                found |= {one.frame: one for one in steps}
+                if self._is_apart(way):
+                    apart += way[1:].tolist()
+            if apart and situation is not None and situation.design is not None:
+                found |= self._where_expected(sorted({*apart, frame}), situation)
+        return self._proposed_from(found)
 
     def advice(self) -> Advice:
         """What the newest fit that is finished says of the boxes so far."""
@@ -364,6 +394,83 @@ class Drawing:
         """End the fit that is running, and close the pictures."""
         self._refits.close()
         self._pictures.close()
+
+    def _proposed_from(self, found: Mapping[int, Followed]) -> list[DrawnBox]:
+        """Propose what was found where nobody has drawn, and nothing surer is proposed."""
+        with self._lock:
+            drawn = {row.frame for row in self._table.rows()}
+            new: dict[int, DrawnBox | None] = {}
+            for number, one in sorted(found.items()):
+                limits = np.tile(self._size_px, 2)
+                x1, y1, x2, y2 = np.clip(one.xyxy_px, 0.0, limits).round(2).tolist()
+                before = self._proposed.get(number)
+                surer = before is not None and before.confidence > one.confidence
+                if number in drawn or surer or not (x1 < x2 and y1 < y2):
+                    continue
+                sure = round(one.confidence, 4)
+                new[number] = DrawnBox(number, x1, y1, x2, y2, self.annotator, False, sure)
+            if new:
+                self._did(None, (), (), new)
+            return [box for box in new.values() if box is not None]
+
+    def _box_of(self, frame: int) -> FloatArray:
+        """The box to follow: the annotator's own, else what is proposed, else another's."""
+        rows = [row for row in self._table.rows() if row.frame == frame]
+        own = [row.box for row in rows if row.annotator == self.annotator]
+        with self._lock:
+            proposed = self._proposed.get(frame)
+        if own:
+            return np.array(own[0])
+        if proposed is not None:
+            return np.array(proposed.xyxy_px)
+        if rows:
+            return np.array(rows[0].box)
+        raise InputError(f"frame {frame}: has no box to follow; draw one first")
+
+    def _frames_of(self, numbers: list[int]) -> Iterator[Frame]:
+        for number in numbers:
+            row = int(np.searchsorted(self._numbers, number))
+            yield Frame(number, float(self._time_utc_s[row]), self.picture(number))
+
+    def _is_apart(self, numbers: IntArray) -> bool:
+        """Whether frames are too far apart to be followed."""
+        times = self._time_utc_s[np.searchsorted(self._numbers, numbers)]
+        steps = np.abs(np.diff(times))
+        return bool(steps.size and np.nanmedian(steps) > LONGEST_STEP_S)
+
+    def _expected(self, situation: Situation | None) -> Callable[[int], FloatArray | None]:
+        """From a frame, the box that the newest fit expects in it."""
+        if situation is None or situation.design is None:
+            return lambda _: None
+        views = situation.views
+        at = {number: row for row, number in enumerate(views.logged.frame.tolist())}
+        return lambda number: views.box_xyxy_px[at[number]] if number in at else None
+
+    def _where_expected(self, numbers: Sequence[int], situation: Situation) -> dict[int, Followed]:
+        """Boxes where the newest fit expects them, in frames that are far apart."""
+        if self._background is None:
+            some = self._numbers[spread_rows(self._numbers.size, _MOST_OF_BACKGROUND)]
+            if some.size < _FEWEST_OF_BACKGROUND:
+                return {}
+            name = self._recording.name
+            self._background = Background.of(self._frames_of(some.tolist()), name)
+        drawn = {row.frame: row.box for row in self._table.rows() if self._mine(row)}
+        # The boxes that are drawn tell the habits of who draws.
+        asked = np.array(sorted({*numbers, *drawn}), dtype=np.int64)
+        asked = asked[np.isin(asked, self._numbers)]
+        boxes = np.array([drawn.get(number, (np.nan,) * 4) for number in asked.tolist()])
+        expected = expected_in(self._recording, asked, situation.georeferencer)
+        found, sure = where_expected(
+            list(self._frames_of(asked.tolist())), expected, self._background, boxes
+        )
+        return {
+            number: Followed(number, found[i], float(sure[i]))
+            for i, number in enumerate(asked.tolist())
+            if np.isfinite(found[i]).all() and number in numbers and sure[i] >= _LEAST_SURE
+        }
+
+    def _mine(self, row: TableRow) -> bool:
+        return row.annotator == self.annotator
 
     def _beside_log(self) -> LoggedFrames:
         """All frames beside the log, by the clocks as the scene has them."""

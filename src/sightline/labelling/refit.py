@@ -14,7 +14,7 @@ from sightline.georeferencing.correspondences import Correspondences
 from sightline.georeferencing.fit import FitSettings, fit
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.labelling.advice import Advice, OddBox, ThinCell
-from sightline.labelling.expected import TargetSize, camera_of
+from sightline.labelling.expected import Expected, TargetSize, camera_of
 from sightline.labelling.expected_gain import Design, axes_95_m, spread_rows
 from sightline.labelling.logged_frames import LoggedFrames
 from sightline.labelling.suggestions import Views, by_information, in_picture, median_axis_m
@@ -37,7 +37,7 @@ _MOST_AXES = 120
 _ODD_SIGMAS = 3.7
 _MOST_ODD = 8
 _HUBER = 2.0
-_LEAST_LEFT, _TINY = 0.05, 1e-12
+_LEAST_LEFT, _LEAST_LEVERAGE, _TINY = 0.05, 0.05, 1e-12
 # Clocks are looked for anew when there are so many times more boxes.
 _SETTLE_AGAIN = 1.5
 _COLUMNS, _ROWS = 8, 4
@@ -154,17 +154,14 @@ class Refits:
             self._advice, self._situation = advice, situation
 
     def _scene(self) -> tuple[Scene, int]:
-        """The scene as it is now, without tables that hold no box yet, and how many there are."""
-        scene = Scene.load(self._path)
-        kept, count = [], 0
-        for recording in scene.recordings:
-            if recording.boxes_path is not None:
-                if _is_empty(recording.boxes_path):
-                    recording = replace(recording, boxes_path=None)
-                elif recording.fixes_path is not None:
-                    count += len(recording.boxes())
-            kept.append(recording)
-        return replace(scene, recordings=tuple(kept)), count
+        """The scene as it is now, and how many boxes there are to learn from."""
+        scene = without_empty_tables(Scene.load(self._path))
+        boxes = sum(
+            len(one.boxes())
+            for one in scene.recordings
+            if one.boxes_path is not None and one.fixes_path is not None
+        )
+        return scene, boxes
 
     def _settle(self, scene: Scene, boxes: int) -> None:
         self._settled_at = max(boxes, 1)
@@ -186,6 +183,19 @@ class Refits:
             return replace(one, clock_offset_s=offset_s, clock_found=found)
 
         return replace(scene, recordings=tuple(map(clocked, scene.recordings)))
+
+
+def without_empty_tables(scene: Scene) -> Scene:
+    """The scene without those tables of boxes whose last box was thrown away."""
+    return replace(
+        scene,
+        recordings=tuple(
+            replace(one, boxes_path=None)
+            if one.boxes_path is not None and _is_empty(one.boxes_path)
+            else one
+            for one in scene.recordings
+        ),
+    )
 
 
 def _is_empty(path: Path) -> bool:
@@ -266,6 +276,17 @@ def logged_by(recording: Recording, frame: IntArray, fitted: Georeferencer) -> L
     taken_off_s = recording.clock_offset_s
     late_s = fitted.report.clock_offset_s.get(recording.name, -taken_off_s) + taken_off_s
     return LoggedFrames.of(recording, frame, frame_times(recording, frame) + late_s, fitted.plane)
+
+
+def expected_in(recording: Recording, frame: IntArray, fitted: Georeferencer) -> Expected:
+    """The boxes that a fit and the log expect in frames.
+
+    Args:
+        recording: Whose frames.
+        frame: (N,) frames.
+        fitted: Has a camera that stands still.
+    """
+    return logged_by(recording, frame, fitted).expected(recording, fitted, _size(fitted))
 
 
 def frame_times(recording: Recording, frame: IntArray) -> FloatArray:
@@ -374,10 +395,13 @@ def _left_out(
         # What is left of a box, and of its derivatives, beside the others.
         alone, slope = own @ pull[i], own @ onto[i]
         spread = design.covariance @ slope.T
-        inner = own - slope @ spread
+        # The covariance has doubts beyond what the fit takes of a box, which its leverage tells.
+        known = slope @ spread
+        taken = float(np.trace(np.linalg.solve(own, known)))
+        share = min(1.0, max(float(fit_.leverage[i]), _LEAST_LEVERAGE) / max(taken, _TINY))
         # A box that alone carries a parameter has nothing beside it to be held against.
-        inner += _LEAST_LEFT * own
-        held = np.linalg.solve(inner, alone)
+        spread = share * spread
+        held = np.linalg.solve(own - share * known + _LEAST_LEFT * own, alone)
         off_px[i] = residual[i] + found.jacobian[i] @ spread @ held
         sigmas[i] = np.sqrt(max(float(alone @ held), 0.0))
     place = np.linalg.solve(found.by_place + _TINY * np.eye(2), off_px[:, :, None])[:, :, 0]

@@ -1,4 +1,4 @@
-"""Adds the name of a file to a recording of a scene file, and changes nothing else of its text."""
+"""Adds the name of a file to a scene file, and changes nothing else of its text."""
 
 from __future__ import annotations
 
@@ -75,3 +75,57 @@ def _with_line(scene: Path, text: str, number: int, key: str, file: str) -> str:
     if now["recordings"][number].pop(key, None) != file or now != before:
         raise by_hand
     return longer
+
+
+_TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)
+_POINTS = "control_points"
+
+
+def name_control_points(scene: Path, file: str | None, *, wait_s: float = 0.0) -> None:
+    """Name the table of control points in a scene file that has none, or name none any more.
+
+    Args:
+        scene: The scene file.
+        file: The table, relative to the scene file, with ``/``; None takes its line away.
+        wait_s: How long to wait for somebody else who writes the scene file.
+
+    Raises:
+        InputError: The scene file cannot be read or written, has control points already, has
+            nothing else, or is written in a way that the line cannot be added to or taken from.
+    """
+    with atomic_path(scene, wait_s=wait_s) as temporary:
+        parse_scene_table(scene)
+        with scene.open(encoding="utf-8", newline="") as opened:
+            text = opened.read()
+        before = tomllib.loads(text.removeprefix("\ufeff"))
+        ending = "\r\n" if "\r\n" in text else "\n"
+        if file is None:
+            changed = re.sub(rf"^{_POINTS}[ \t]*=[^\n]*\n", "", text, count=1, flags=re.MULTILINE)
+            wanted = {key: value for key, value in before.items() if key != _POINTS}
+        else:
+            first = _TABLE.search(text)
+            at = first.start() if first is not None else len(text)
+            # Comments right above a table are of that.
+            lines = text[:at].splitlines(keepends=True)
+            while lines and lines[-1].lstrip().startswith("#"):
+                at -= len(lines.pop())
+            line = f'{_POINTS} = "{file}"{ending}{ending}'
+            bom = len(text) - len(text.removeprefix("\ufeff"))
+            at = max(at, bom)
+            changed = text[:at] + line + text[at:]
+            wanted = {**before, _POINTS: file}
+        by_hand = InputError(
+            f"{scene}: the line of its {_POINTS} cannot be added or taken away as it is written; "
+            f'name the table by hand ({_POINTS} = "{file or ""}")'
+        )
+        if file is not None and _POINTS in before:
+            raise InputError(f"{scene}: has control points already")
+        try:
+            if tomllib.loads(changed.removeprefix("\ufeff")) != wanted:
+                raise by_hand
+        except tomllib.TOMLDecodeError as error:
+            raise by_hand from error
+        with temporary.open("w", encoding="utf-8", newline="") as written:
+            written.write(changed)
+        # Whatever is left must still be a scene.
+        parse_scene_table(temporary)
