@@ -16,7 +16,6 @@ from PIL import Image
 from web_drawing import small_scene
 from web_moments import HOSTILE
 
-from sightline.labelling.control_points import ControlPointSheet
 from sightline.labelling.drawing import Drawing
 from sightline.web.access import HEADERS, Guard
 from sightline.web.draw_app import build_draw_app
@@ -39,7 +38,7 @@ def drawing(scene: Path) -> Iterator[Drawing]:
 
 
 def client(drawing: Drawing, scene: Path, *, token: str | None = None, **options) -> TestClient:
-    bench = Workbench(scene, drawing, ControlPointSheet(scene), **options)
+    bench = Workbench(scene, drawing, **options)
     app = Guard(build_draw_app(bench), token, 8081)
     return TestClient(app, base_url="http://127.0.0.1:8081", follow_redirects=False)
 
@@ -172,8 +171,8 @@ def test_a_box_that_is_none_is_refused_in_a_line(body: str, asked: TestClient, s
         ("POST", "/api/points", {"pixel_px": [1, 99], "place": "54.32, 10.14"}),
         ("POST", "/api/points", {"pixel_px": [1, 2, 3], "place": "54.32, 10.14"}),
         ("POST", "/api/points", {"pixel_px": [1, 2], "place": "54.32, 10.14", "name": "x" * 101}),
+        ("PUT", "/api/points", {"number": 1, "pixel_px": [1, 2], "place": "54.32, 10.14"}),
         ("PUT", "/api/points", {"number": 0, "pixel_px": [1, 2], "place": "54.32, 10.14"}),
-        ("PUT", "/api/points", {"number": -1, "pixel_px": [1, 2], "place": "54.32, 10.14"}),
         ("DELETE", "/api/points", {"number": 3}),
     ],
 )
@@ -293,10 +292,10 @@ def test_a_control_point_is_a_pixel_and_a_place(asked: TestClient, scene: Path) 
 
     kept = Scene.load(scene).control_points
     assert kept.pixel_px.tolist() == [[12.5, 30.25]]
-    moved = {**sent, "number": 0, "pixel_px": [13.0, 31.0], "place": "54.3234, 10.1395"}
+    moved = {"number": 1, "pixel_px": [13.0, 31.0], "place": "54.3234, 10.1395"}
     assert asked.put("/api/points", json=moved).json()["points"][0]["pixel_px"] == [13.0, 31.0]
     assert asked.post("/api/points/undo", json={}).json()["points"][0]["pixel_px"] == [12.5, 30.25]
-    assert asked.request("DELETE", "/api/points", json={"number": 0}).json()["points"] == []
+    assert asked.request("DELETE", "/api/points", json={"number": 1}).json()["points"] == []
 
 
 def test_the_shore_is_shown_where_it_was_given(drawing: Drawing, scene: Path) -> None:

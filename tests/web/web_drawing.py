@@ -11,7 +11,6 @@ import numpy as np
 from PIL import Image
 from web_browser import Browser
 
-from sightline.labelling.control_points import ControlPointSheet
 from sightline.labelling.drawing import Drawing
 from sightline.simulation import SimulationSettings, simulate
 from sightline.web.draw_server import DrawServer
@@ -35,7 +34,7 @@ fixes = "target.gpx"
 Box = tuple[float, float, float, float]
 
 
-def harbour(folder: Path, *, duration_s: float = 60.0, rate_hz: float = 12.0) -> Path:
+def harbour(folder: Path, *, duration_s: float = 40.0, rate_hz: float = 10.0) -> Path:
     """A simulated harbour with a video and a log, and the folder that has its truth."""
     settings = SimulationSettings(seed=5, recordings=1, duration_s=duration_s, rate_hz=rate_hz)
     simulate(folder, settings)
@@ -69,7 +68,7 @@ def served(scene: Path, *, annotator: str = "ada", **options) -> Iterator[DrawSe
     drawing = Drawing(scene, annotator=annotator)
     server = DrawServer("127.0.0.1:0")
     try:
-        server.serve(Workbench(scene, drawing, ControlPointSheet(scene), **options))
+        server.serve(Workbench(scene, drawing, **options))
         yield server
     finally:
         server.close()
@@ -115,7 +114,7 @@ class Hand:
         self.page.until(f"sightline.state.frame === {frame} && sightline.state.shown")
 
     def drag_box(self, box: Box) -> None:
-        """Near enough with the mouse: zoomed in until a pixel of the picture is some of the screen."""
+        """With the mouse, zoomed in until a pixel of the picture is some of the screen."""
         x1, y1, x2, y2 = box
         self.page.press("0")
         middle = self.stage(0.5 * (x1 + x2), 0.5 * (y1 + y2))

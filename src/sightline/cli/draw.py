@@ -62,7 +62,6 @@ def draw(
     with signals.stoppable() as stop:
         # There is nothing to lose at any time.
         stop.begun = True
-        from sightline.labelling.control_points import ControlPointSheet
         from sightline.labelling.drawing import Drawing
         from sightline.live.config import page_token
         from sightline.web.draw_server import DrawServer
@@ -76,7 +75,7 @@ def draw(
             closing(Drawing(scene, recording, annotator=name, detector=_checker(detector))) as own,
             closing(server),
         ):
-            server.serve(Workbench(scene, own, ControlPointSheet(scene), shore=land))
+            server.serve(Workbench(scene, own, shore=land))
             say(f"{name} draws in recording {own.recording}: {server.url}")
             say("what is accepted is kept at once; Ctrl-C ends it")
             if not no_browser and _has_screen():

@@ -12,6 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 
 from sightline.errors import SightlineError
+from sightline.labelling.control_points import parse_position
 from sightline.text import xml_text
 from sightline.web.pages import NO_STORE, json_answer, new_app
 from sightline.web.workbench import Workbench
@@ -55,11 +56,11 @@ class _PointRequest(_PlaceRequest):
 
 
 class _PointNumber(_Request):
-    number: Annotated[int, Field(ge=0, le=100_000)]
+    number: Annotated[int, Field(ge=1, le=100_000)]
 
 
-class _MovedPoint(_PointRequest, _PointNumber):
-    pass
+class _MovedPoint(_PointNumber, _PlaceRequest):
+    pixel_px: Annotated[list[_Pixel], Field(min_length=2, max_length=2)]
 
 
 def build_draw_app(bench: Workbench) -> FastAPI:
@@ -161,30 +162,43 @@ def _add_boxes(app: FastAPI, bench: Workbench) -> None:
 
 
 def _add_points(app: FastAPI, bench: Workbench) -> None:
+    own = bench.points
+
+    def shown(count: int = 1) -> Response:
+        return json_answer({**own.shown(), "count": count})
+
     @app.get("/api/points")
     def points() -> Response:
-        return json_answer(bench.points())
+        return shown()
+
+    @app.get("/api/points/fit")
+    def fitted() -> Response:
+        return json_answer(own.fit())
 
     @app.post("/api/place")
     def place(asked: _PlaceRequest) -> Response:
-        latitude, longitude = bench.parse_place(asked.place)
+        latitude, longitude = parse_position(asked.place)
         return json_answer({"latitude_deg": latitude, "longitude_deg": longitude})
 
     @app.post("/api/points")
     def add(asked: _PointRequest) -> Response:
-        pixel = (asked.pixel_px[0], asked.pixel_px[1])
-        return json_answer(bench.add_point(pixel, asked.place, xml_text(asked.name)))
+        own.add((asked.pixel_px[0], asked.pixel_px[1]), asked.place, xml_text(asked.name))
+        return shown()
 
     @app.put("/api/points")
     def move(asked: _MovedPoint) -> Response:
-        pixel = (asked.pixel_px[0], asked.pixel_px[1])
-        name = xml_text(asked.name)
-        return json_answer(bench.move_point(asked.number, pixel, asked.place, name))
+        own.move(asked.number, (asked.pixel_px[0], asked.pixel_px[1]), asked.place)
+        return shown()
 
     @app.delete("/api/points")
     def remove(asked: _PointNumber) -> Response:
-        return json_answer(bench.remove_point(asked.number))
+        own.remove(asked.number)
+        return shown()
 
     @app.post("/api/points/undo")
     def undo() -> Response:
-        return json_answer(bench.undo_point())
+        return shown(int(own.undo()))
+
+    @app.post("/api/points/redo")
+    def redo() -> Response:
+        return shown(int(own.redo()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,25 +12,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.labelling.control_points import (
+    ControlPointReport,
+    ControlPointSheet,
+    SheetPoint,
+    parse_position,
+)
 from sightline.labelling.expected import TargetSize, expect, place_of
 from sightline.scene import Recording, Scene
 from sightline.text import encodable_text
 
 if TYPE_CHECKING:
     from sightline.labelling.advice import Advice
-    from sightline.labelling.control_points import ControlPointSheet
     from sightline.labelling.drawing import Drawing, DrawnBox
 
 _SUGGESTED = 30
 
 
 class Workbench:
-    """One drawing and one sheet of control points, for any number of pages at once.
+    """The boxes of one recording and the control points of its scene, for any number of pages.
 
     Args:
         scene: The scene file.
         drawing: The boxes of one of its recordings.
-        sheet: Its control points.
         shore: GeoJSON that the map shows, or None.
 
     Raises:
@@ -40,13 +45,12 @@ class Workbench:
         self,
         scene: Path,
         drawing: Drawing,
-        sheet: ControlPointSheet,
         *,
         shore: bytes | None = None,
     ) -> None:
         loaded = Scene.load(scene)
         self.drawing = drawing
-        self.sheet = sheet
+        self.points = PointBench(scene)
         self.shore = shore
         self._name = loaded.camera.name or scene.stem
         self._recording = loaded[drawing.recording]
@@ -122,8 +126,133 @@ class Workbench:
         return self.drawing.picture(frame)
 
 
+class PointBench:
+    """The control points of a scene, as the page shows and changes them.
+
+    Args:
+        scene: The scene file.
+    """
+
+    def __init__(self, scene: Path) -> None:
+        self._sheet: ControlPointSheet | None = None
+        self._refused = ""
+        # One fit at a time is enough for two cores.
+        self._fitting = threading.Lock()
+        try:
+            self._sheet = ControlPointSheet(scene)
+        except InputError as error:
+            # Boxes can be drawn nevertheless.
+            self._refused = str(error)
+
+    def shown(self) -> dict[str, object]:
+        """All points, and why there can be none."""
+        points = [] if self._sheet is None else self._sheet.points()
+        return {"points": [_point(one) for one in points], "error": encodable_text(self._refused)}
+
+    def fit(self) -> dict[str, object]:
+        """What a fit makes of each point, and a fit without it.
+
+        Raises:
+            InputError: The points cannot be read.
+        """
+        if self._sheet is None or not self._sheet.points():
+            return {"points": [], "error": ""}
+        with self._fitting:
+            report = self._sheet.residuals()
+            points = self._sheet.points()
+        places = _fitted_places(report, points)
+        return {
+            "points": [
+                {
+                    "number": one.number,
+                    "error_m": _number(one.error_m),
+                    "left_out_m": _number(one.left_out_m),
+                    "residual_px": _number(one.residual_px),
+                    "outlier": one.outlier,
+                    "place_deg": places.get(one.number),
+                }
+                for one in report.points
+            ],
+            "error": encodable_text(report.error),
+            "rmse_m": _number(report.rmse_m),
+            "left_out_m": _number(report.left_out_m),
+        }
+
+    def add(self, pixel_px: tuple[float, float], place: str, name: str) -> None:
+        """Add a point; its place as people paste it.
+
+        Raises:
+            InputError: It cannot be read or kept.
+        """
+        latitude, longitude = parse_position(place)
+        self._own().add(pixel_px, latitude, longitude, name)
+
+    def move(self, number: int, pixel_px: tuple[float, float], place: str) -> None:
+        """Move a point.
+
+        Raises:
+            InputError: As `add`, or there is no such point.
+        """
+        self._own().move(number, pixel_px=pixel_px, place_deg=parse_position(place))
+
+    def remove(self, number: int) -> None:
+        """Take a point away.
+
+        Raises:
+            InputError: There is no such point, or it cannot be written.
+        """
+        self._own().remove(number)
+
+    def undo(self) -> bool:
+        """Take the last change back; whether there was one.
+
+        Raises:
+            InputError: Somebody else has changed it since.
+        """
+        return self._own().undo()
+
+    def redo(self) -> bool:
+        """Make what was taken back again; whether there was something.
+
+        Raises:
+            InputError: Somebody else has changed it since.
+        """
+        return self._own().redo()
+
+    def _own(self) -> ControlPointSheet:
+        if self._sheet is None:
+            raise InputError(self._refused)
+        return self._sheet
+
+
+def _fitted_places(
+    report: ControlPointReport, points: list[SheetPoint]
+) -> dict[int, list[float] | None]:
+    """Latitude and longitude of where the fit has the pixel of each point, where it has one."""
+    model = report.georeferencer
+    if model is None or model.camera is None or not points:
+        return {}
+    east, north = model.camera.locate(np.array([(one.x_px, one.y_px) for one in points]))
+    latitude, longitude = model.plane.to_geographic(east, north)
+    places = np.stack([latitude, longitude], axis=1)
+    return {
+        one.number: place.tolist() if np.isfinite(place).all() else None
+        for one, place in zip(points, places, strict=True)
+    }
+
+
+def _point(point: SheetPoint) -> dict[str, object]:
+    return {
+        "number": point.number,
+        "pixel_px": [point.x_px, point.y_px],
+        "latitude_deg": point.latitude_deg,
+        "longitude_deg": point.longitude_deg,
+        "name": encodable_text(point.name),
+    }
+
+
 def _places(scene: Scene, recording: Recording) -> list[tuple[float, float]]:
-    """Latitude and longitude of the camera, where it is known, and corners of where the log goes."""
+    """Latitude and longitude of the camera, where it is known, and of where the log goes."""
     camera = scene.camera.place_deg
     places = [] if camera is None else [camera]
     try:

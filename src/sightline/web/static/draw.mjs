@@ -440,7 +440,7 @@ async function follow() {
 /** Undo or redo, and go to where something has changed. */
 async function back(path, words) {
   if (state.mode === "points") {
-    if (path === "/api/undo") await points.undo();
+    await points.back(path === "/api/redo");
     return;
   }
   const texts = new Map(own().map((one) => [one.frame, JSON.stringify(one)]));
@@ -463,10 +463,16 @@ function newBox() {
   const { expected } = state;
   const inside = expected && expected[0] >= 0 && expected[1] >= 0
     && expected[2] <= width && expected[3] <= height;
-  stage.box = (inside ? expected.map(Math.round) : null) ?? state.lastBox?.slice()
+  stage.box = (inside ? whole(expected) : null) ?? state.lastBox?.slice()
     ?? [0.475 * width, 0.475 * height, 0.525 * width, 0.525 * height].map(Math.round);
   edited();
   stage.bring([(stage.box[0] + stage.box[2]) / 2, stage.box[3]]);
+}
+
+/** A box in whole pixels, of two at the least. */
+function whole(box) {
+  const [x1, y1, x2, y2] = box.map(Math.round);
+  return [x1, y1, Math.max(x2, x1 + 2), Math.max(y2, y1 + 2)];
 }
 
 function edited() {

@@ -42,6 +42,8 @@ export class Points {
   constructor(page) {
     this.page = page;
     this.list = [];
+    this.fits = new Map();
+    this.fitting = 0;
     this.chosen = null;
     this.pixel = null;
     this.map = null;
@@ -69,6 +71,7 @@ export class Points {
     if (!this.map) this.openMap();
     try {
       this.take(await ask("/api/points"));
+      if (this.list.length) this.fit();
     } catch (error) {
       this.page.say(error.message, "refused");
     }
@@ -104,7 +107,7 @@ export class Points {
 
   take(told) {
     this.list = told.points;
-    element("points-note").textContent = plain(told.error || told.reason || "");
+    if (told.error) this.note(told.error);
     const rows = this.list.map((one) => {
       const row = document.createElement("tr");
       const name = document.createElement("button");
@@ -113,9 +116,10 @@ export class Points {
       name.setAttribute("aria-pressed", String(one.number === this.chosen));
       name.addEventListener("click", () => this.choose(one.number));
       const cells = Array.from({ length: 3 }, () => document.createElement("td"));
+      const fit = this.fits.get(one.number);
       cells[0].append(name);
-      cells[1].textContent = one.residual_m === null ? "–" : metres(one.residual_m);
-      cells[2].textContent = one.left_out_m === null ? "–" : metres(one.left_out_m);
+      cells[1].textContent = fit?.error_m == null ? "–" : metres(fit.error_m);
+      cells[2].textContent = fit?.left_out_m == null ? "–" : metres(fit.left_out_m);
       row.setAttribute("aria-selected", String(one.number === this.chosen));
       row.append(...cells);
       return row;
@@ -127,18 +131,45 @@ export class Points {
     this.draw();
   }
 
+  note(text) {
+    element("points-note").textContent = plain(text);
+  }
+
+  /** Ask what a fit makes of them; what is newest counts. */
+  async fit() {
+    this.fitting += 1;
+    const number = this.fitting;
+    this.fits = new Map();
+    this.take({ points: this.list });
+    this.note(this.list.length ? "Fitting …" : "");
+    try {
+      const told = await ask("/api/points/fit");
+      if (number !== this.fitting) return;
+      this.fits = new Map(told.points.map((one) => [one.number, one]));
+      const off = told.points.filter((one) => one.outlier).map((one) => one.number);
+      const without = told.left_out_m === null ? "" : `, ${metres(told.left_out_m ?? 0)} m each by a fit without it`;
+      this.note(told.error || (told.points.length
+        ? `The fit is ${metres(told.rmse_m)} m RMSE off the points${without}.`
+          + `${off.length ? ` It leaves out point ${off.join(", ")}.` : ""}` : ""));
+      this.take({ points: this.list });
+    } catch (error) {
+      if (number === this.fitting) this.note(error.message);
+    }
+  }
+
   draw() {
     this.page.show(this.list.map((one) => ({
       pixel: one.pixel_px, label: titleOf(one), chosen: one.number === this.chosen,
     })));
     this.map?.set("points", this.list.map((one) =>
       spot([one.longitude_deg, one.latitude_deg], { chosen: one.number === this.chosen })));
-    this.map?.set("fit-lines", this.list.filter((one) => one.fit_deg).map((one) => ({
-      type: "Feature", properties: {}, geometry: {
-        type: "LineString",
-        coordinates: [[one.longitude_deg, one.latitude_deg], [one.fit_deg[1], one.fit_deg[0]]],
-      },
-    })));
+    this.map?.set("fit-lines", this.list.flatMap((one) => {
+      const place = this.fits.get(one.number)?.place_deg;
+      const coordinates = place
+        && [[one.longitude_deg, one.latitude_deg], [place[1], place[0]]];
+      return place
+        ? [{ type: "Feature", properties: {}, geometry: { type: "LineString", coordinates } }] : [];
+    }));
   }
 
   setPixel(pixel) {
@@ -154,6 +185,7 @@ export class Points {
     const one = this.list.find((each) => each.number === number) ?? null;
     element("place").value = one ? `${one.latitude_deg}, ${one.longitude_deg}` : "";
     element("point-name").value = one ? plain(one.name) : "";
+    element("point-name").disabled = Boolean(one);
     element("points-title").textContent = one ? titleOf(one) : "Control point";
     element("point-save").textContent = one ? "Save" : "Add";
     element("point-remove").hidden = !one;
@@ -161,7 +193,7 @@ export class Points {
     this.setPixel(one ? [...one.pixel_px] : null);
     this.page.pick(this.pixel);
     this.parse();
-    this.take({ points: this.list, error: element("points-note").textContent });
+    this.take({ points: this.list });
   }
 
   /** Say what a place is read as. */
@@ -197,7 +229,8 @@ export class Points {
       this.chosen = null;
       this.take(told);
       this.choose(null);
-      this.page.say(words);
+      this.page.say(told.count ? words : "nothing to take back");
+      this.fit();
       return true;
     } catch (error) {
       this.page.say(error.message, "refused");
@@ -215,9 +248,13 @@ export class Points {
       this.page.say("give the place of the pixel: type or paste it, or click the map", "refused");
       return;
     }
-    const body = { pixel_px: this.pixel, place, name: element("point-name").value };
-    if (this.chosen === null) await this.change("POST", "/api/points", body, "point added");
-    else await this.change("PUT", "/api/points", { ...body, number: this.chosen }, "point saved");
+    const body = { pixel_px: this.pixel, place };
+    if (this.chosen === null) {
+      const name = element("point-name").value;
+      await this.change("POST", "/api/points", { ...body, name }, "point added");
+    } else {
+      await this.change("PUT", "/api/points", { ...body, number: this.chosen }, "point saved");
+    }
   }
 
   async remove() {
@@ -225,8 +262,10 @@ export class Points {
     await this.change("DELETE", "/api/points", { number: this.chosen }, "point removed");
   }
 
-  async undo() {
-    await this.change("POST", "/api/points/undo", {}, "taken back");
+  async back(again) {
+    await this.change(
+      "POST", again ? "/api/points/redo" : "/api/points/undo", {}, again ? "made again" : "taken back",
+    );
   }
 
   repaint() {
@@ -235,7 +274,7 @@ export class Points {
 }
 
 function titleOf(one) {
-  return one.name ? plain(one.name) : `point ${one.number + 1}`;
+  return one.name ? plain(one.name) : `point ${one.number}`;
 }
 
 function spot(place, properties = {}) {
