@@ -165,8 +165,6 @@ def test_a_box_that_is_none_is_refused_in_a_line(body: str, asked: TestClient, s
         ("POST", "/api/follow", {"frame": 77}),
         ("DELETE", "/api/boxes", {"frame": 77}),
         ("POST", "/api/place", {"place": "x" * 2001}),
-        ("POST", "/api/place", {"place": "nowhere"}),
-        ("POST", "/api/place", {"place": "91, 10"}),
         ("POST", "/api/points", {"pixel_px": [1, 2], "place": "nowhere"}),
         ("POST", "/api/points", {"pixel_px": [1, 99], "place": "54.32, 10.14"}),
         ("POST", "/api/points", {"pixel_px": [1, 2, 3], "place": "54.32, 10.14"}),
@@ -275,6 +273,18 @@ def test_boxes_that_are_drawn_at_the_same_time_are_all_kept(asked: TestClient, s
     for one in threads:
         one.join()
     assert sorted(int(row["frame"]) for row in rows(scene)) == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("place", ["", "nowhere", "91, 10", "54.3", "\ud800", "1" * 2000])
+def test_a_place_that_is_none_yet_is_told(place: str, asked: TestClient) -> None:
+    answer = asked.post(
+        "/api/place",
+        content=json.dumps({"place": place}),
+        headers={"content-type": "application/json"},
+    )
+    assert answer.status_code in (200, 422)
+    assert "\n" not in answer.json()["reason"]
+    assert len(answer.json()["reason"]) > 10
 
 
 def test_a_control_point_is_a_pixel_and_a_place(asked: TestClient, scene: Path) -> None:

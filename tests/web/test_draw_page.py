@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import pytest
 from scipy.optimize import least_squares
 from web_browser import Browser, browser
 from web_drawing import Box, Hand, harbour, served, small_scene, truth, undrawn
+from web_moments import HOSTILE
 
 from sightline.formats import read_boxes
 from sightline.geodesy import LocalPlane
@@ -232,18 +235,18 @@ def test_a_control_point_is_clicked_and_its_place_pasted(
         assert page.evaluate("document.querySelector('#points script, #points img')") is None
         # One is moved: chosen in the list, its place typed anew, a hundred metres off.
         page.evaluate("document.querySelectorAll('#points button')[5].click()")
-        page.evaluate("document.getElementById('place').select()")
         page.evaluate("document.getElementById('place').focus()")
+        page.evaluate("document.getElementById('place').select()")
         page.type(f"{places[5][0] + 0.0002:.7f}, {places[5][1]:.7f}")
         page.press("Enter")
         page.until(
             "sightline.points.fits.size === 7 && document.querySelectorAll("
-            "'#points td')[17].textContent > 5"
+            "'#points td')[16].textContent > 5"
         )
         page.press("z")
         page.until(
             "sightline.points.fits.size === 7 && document.querySelectorAll("
-            "'#points td')[17].textContent < 3"
+            "'#points td')[16].textContent < 1.5"
         )
         # The map is a way to give a place as well.
         x, y = page.evaluate(
@@ -270,7 +273,7 @@ def _on_the_water(camera: dict, pixels: list[tuple[int, int]]) -> list[tuple[flo
     plane = LocalPlane(camera["latitude_deg"], camera["longitude_deg"])
 
     def missed(place: np.ndarray, pixel: tuple[int, int]) -> np.ndarray:
-        return np.asarray(true.project(*(np.array([v]) for v in place))).reshape(-1)[:2] - pixel
+        return true.project([place[0], place[1], 0.0]) - pixel
 
     found = []
     for pixel in pixels:
@@ -289,9 +292,13 @@ def _as_pasted(i: int, latitude: float, longitude: float) -> str:
     return [
         f"{latitude:.7f}, {longitude:.7f}",
         f"geo:{latitude:.7f},{longitude:.7f}",
-        f"{int(latitude)}°{60 * (latitude % 1):.5f}'N {int(longitude)}°{60 * (longitude % 1):.5f}'E",
+        f"{_minutes(latitude)}N {_minutes(longitude)}E",
         f"https://www.openstreetmap.org/?mlat={latitude:.7f}&mlon={longitude:.7f}",
     ][i % 4]
+
+
+def _minutes(degrees: float) -> str:
+    return f"{int(degrees)}°{60 * (degrees % 1):.5f}'"
 
 
 def _nudge_to(page: Browser, pixel: tuple[int, int]) -> None:

@@ -11,7 +11,7 @@ from fastapi import Path as InPath
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 
-from sightline.errors import SightlineError
+from sightline.errors import InputError, SightlineError
 from sightline.labelling.control_points import parse_position
 from sightline.text import xml_text
 from sightline.web.pages import NO_STORE, json_answer, new_app
@@ -177,8 +177,12 @@ def _add_points(app: FastAPI, bench: Workbench) -> None:
 
     @app.post("/api/place")
     def place(asked: _PlaceRequest) -> Response:
-        latitude, longitude = parse_position(asked.place)
-        return json_answer({"latitude_deg": latitude, "longitude_deg": longitude})
+        try:
+            latitude, longitude = parse_position(asked.place)
+        except InputError as error:
+            # Whoever is typing has not come to its end yet, which is no wrong request.
+            return json_answer({"reason": str(error)})
+        return json_answer({"latitude_deg": latitude, "longitude_deg": longitude, "reason": ""})
 
     @app.post("/api/points")
     def add(asked: _PointRequest) -> Response:

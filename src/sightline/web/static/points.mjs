@@ -209,9 +209,10 @@ export class Points {
         return;
       }
       try {
-        const { latitude_deg: latitude, longitude_deg: longitude } =
+        const { latitude_deg: latitude, longitude_deg: longitude, reason } =
           await send("POST", "/api/place", { place: text });
         if (element("place").value.trim() !== text) return;
+        if (reason) throw new Error(reason);
         note.dataset.state = "";
         note.textContent = `Read as ${latitude.toFixed(7)}, ${longitude.toFixed(7)}.`;
         this.map?.set("new-place", [spot([longitude, latitude])]);
@@ -230,6 +231,8 @@ export class Points {
       this.take(told);
       this.choose(null);
       this.page.say(told.count ? words : "nothing to take back");
+      // The next thing is another pixel.
+      element("stage").focus({ preventScroll: true });
       this.fit();
       return true;
     } catch (error) {
