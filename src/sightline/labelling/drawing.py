@@ -34,6 +34,7 @@ _MOST_STEPS = 1000
 _MOST_CANDIDATES = 600
 _MOST_OF_BACKGROUND, _FEWEST_OF_BACKGROUND = 40, 3
 _LEAST_SURE = 0.15
+_FEWEST_FOR_INFORMATION = 8
 
 
 @dataclass(frozen=True)
@@ -319,23 +320,25 @@ class Drawing:
         drawn = np.array([row.frame for row in self._table.rows()], dtype=np.int64)
         with self._lock:
             closed = np.array([*drawn.tolist(), *self._skipped], dtype=np.int64)
-        _, situation = self._refits.newest()
+        advice, situation = self._refits.newest()
+        logged = self._logged[spread_rows(len(self._logged), _MOST_CANDIDATES)]
         if situation is not None and situation.design is not None and len(situation.views):
             views = situation.views
-            free = ~np.isin(views.logged.frame, closed)
-            rows = by_information(
-                situation.design,
-                situation.georeferencer,
-                views,
-                free,
-                views[np.isin(views.logged.frame, drawn)],
-                count,
-            )
-            return [int(number) for number in views.logged.frame[rows]]
-        thinned = self._logged[spread_rows(len(self._logged), _MOST_CANDIDATES)]
-        free = ~np.isin(thinned.frame, closed)
-        rows = by_spread(thinned, free, drawn, self._scene.plane is not None, count)
-        return [int(number) for number in thinned.frame[rows]]
+            logged = views.logged
+            if advice.boxes >= _FEWEST_FOR_INFORMATION:
+                rows = by_information(
+                    situation.design,
+                    situation.georeferencer,
+                    views,
+                    ~np.isin(logged.frame, closed),
+                    views[np.isin(logged.frame, drawn)],
+                    count,
+                )
+                return [int(number) for number in logged.frame[rows]]
+        # What few boxes say of the camera is no guide yet, but for what it sees.
+        free = ~np.isin(logged.frame, closed)
+        rows = by_spread(logged, free, drawn, self._scene.plane is not None, count)
+        return [int(number) for number in logged.frame[rows]]
 
     def follow(
         self, frame: int, *, forward: bool = True, backward: bool = True, count: int = 40

@@ -196,7 +196,11 @@ def follow_box(
         settled, alike = drawn.settle(frame.image_bgr, carried)
         size = box[2:] - box[:2]
         step = 0.5 * (settled[:2] + settled[2:] - box[:2] - box[2:])
-        inside = settled[:2].min() >= 0.0 and (settled[2:] <= (width, height)).all()
+        # Held against what was drawn, a box that has begun to leave would stay at the border.
+        inside = all(
+            one[:2].min() >= 0.0 and (one[2:] <= (width, height)).all()
+            for one in (carried, settled)
+        )
         jumps = (np.abs(step - shift) > _MOST_ASIDE * np.maximum(size, size.mean())).any()
         if alike < _LEAST_ALIKE or not inside or jumps or size.min() < _LEAST_SHOWN_PX:
             return

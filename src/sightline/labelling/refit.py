@@ -28,8 +28,8 @@ MORE_BOXES = 10
 ENOUGH_GAIN = 0.05
 """Where they would make the ellipses smaller by less than this share, it is enough."""
 
-FEWEST_BOXES = 10
-"""Fewer are never enough."""
+FEWEST_BOXES = 15
+"""Fewer are never enough: the noise that a fit states comes from them as well."""
 
 MODEL = "camera"
 _MOST_VIEWS = 400
