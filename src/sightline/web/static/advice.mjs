@@ -41,8 +41,9 @@ export class Advice {
     for (const one of told.parameters) {
       const sigma = one.sigma === null ? "" : ` ± ${number(one.sigma)}`;
       const value = one.value === null ? "–" : number(one.value);
-      const unsure = one.determined ? "" : ", not determined";
-      rows.push([plain(one.name).replace(/_(?:m|deg|px)$/u, "").replaceAll("_", " "), `${value}${sigma} ${one.unit}`.trim() + unsure]);
+      const unsure = one.determined ? "" : " (not determined)";
+      rows.push([plain(one.name).replace(/_(?:m|deg|px)$/u, "").replaceAll("_", " ") + unsure,
+        `${value}${sigma} ${one.unit === "degrees" ? "°" : one.unit}`.trim()]);
     }
     const known = JSON.stringify(rows);
     if (known === this.rows) return;

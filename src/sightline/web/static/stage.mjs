@@ -361,6 +361,8 @@ export class Stage extends EventTarget {
     context.fillStyle = LINES[this.kind];
     context.strokeStyle = "rgba(0, 0, 0, 0.8)";
     context.lineWidth = 1;
+    // Of a small box they would hide the boat.
+    if (Math.min(x2 - x1, y2 - y1) < 18) return;
     const spots = [[x1, y1], [x2, y1], [x1, y2], [x2, y2]];
     if (x2 - x1 > 36) spots.push([(x1 + x2) / 2, y1], [(x1 + x2) / 2, y2]);
     if (y2 - y1 > 36) spots.push([x1, (y1 + y2) / 2], [x2, (y1 + y2) / 2]);
