@@ -224,7 +224,7 @@ def test_a_control_point_is_clicked_and_its_place_pasted(
         assert np.abs(kept.pixel_px - pixels).max() < 0.5
         assert np.abs(kept.latitude_deg - [one[0] for one in places]).max() < 2e-6
         assert np.abs(kept.longitude_deg - [one[1] for one in places]).max() < 2e-6
-        page.until("sightline.points.fits.size === 7")
+        page.until("sightline.points.fits.get(7)?.left_out_m != null")
         cells = page.evaluate(
             "[...document.querySelectorAll('#points tr')].map(one =>"
             " [...one.children].map(cell => cell.textContent))"

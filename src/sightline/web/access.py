@@ -204,7 +204,8 @@ def _digest(text: str) -> bytes:
 
 async def _whole_body(receive: Receive) -> bytes | None:
     """What a request brings; None where that is more than any of ours does."""
-    parts, size = [], 0
+    parts: list[bytes] = []
+    size = 0
     while True:
         message = await receive()
         if message["type"] != "http.request":

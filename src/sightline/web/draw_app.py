@@ -172,8 +172,8 @@ def _add_points(app: FastAPI, bench: Workbench) -> None:
         return shown()
 
     @app.get("/api/points/fit")
-    def fitted() -> Response:
-        return json_answer(own.fit())
+    def fitted(left_out: bool = True) -> Response:
+        return json_answer(own.fit(left_out=left_out))
 
     @app.post("/api/place")
     def place(asked: _PlaceRequest) -> Response:

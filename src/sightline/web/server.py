@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import socket
 import threading
 from collections.abc import Callable
@@ -25,6 +26,22 @@ if TYPE_CHECKING:
 _START_S = 20.0
 _CLOSE_S = 1.5
 _MOST_SHORE_BYTES = 20_000_000
+
+
+class _NotCutOff(logging.Filter):
+    """Says nothing of answers that the end of the server has cut off."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether to say it."""
+        import asyncio
+
+        if str(record.msg).startswith("Cancel "):
+            return False
+        kind = record.exc_info[0] if record.exc_info else None
+        return kind is None or not issubclass(kind, asyncio.CancelledError)
+
+
+_NOT_CUT_OFF = _NotCutOff()
 
 
 class PageServer:
@@ -92,6 +109,7 @@ class PageServer:
             ws_max_size=4096,
             ws_per_message_deflate=False,
         )
+        logging.getLogger("uvicorn.error").addFilter(_NOT_CUT_OFF)
         server = uvicorn.Server(config)
         started = threading.Event()
         self._server = server

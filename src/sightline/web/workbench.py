@@ -138,6 +138,7 @@ class PointBench:
         self._refused = ""
         # One fit at a time is enough for two cores.
         self._fitting = threading.Lock()
+        self._asked = 0
         try:
             self._sheet = ControlPointSheet(scene)
         except InputError as error:
@@ -149,16 +150,23 @@ class PointBench:
         points = [] if self._sheet is None else self._sheet.points()
         return {"points": [_point(one) for one in points], "error": encodable_text(self._refused)}
 
-    def fit(self) -> dict[str, object]:
-        """What a fit makes of each point, and a fit without it.
+    def fit(self, *, left_out: bool) -> dict[str, object]:
+        """What a fit makes of each point; ``stale`` where a newer one was asked for meanwhile.
+
+        Args:
+            left_out: Whether each is held against a fit without it, too, which takes longer.
 
         Raises:
             InputError: The points cannot be read.
         """
         if self._sheet is None or not self._sheet.points():
-            return {"points": [], "error": ""}
+            return {"points": [], "error": "", "stale": False}
+        self._asked += 1
+        number = self._asked
         with self._fitting:
-            report = self._sheet.residuals()
+            if number != self._asked:
+                return {"points": [], "error": "", "stale": True}
+            report = self._sheet.residuals(left_out=left_out)
             points = self._sheet.points()
         places = _fitted_places(report, points)
         return {
@@ -174,6 +182,7 @@ class PointBench:
                 for one in report.points
             ],
             "error": encodable_text(report.error),
+            "stale": False,
             "rmse_m": _number(report.rmse_m),
             "left_out_m": _number(report.left_out_m),
         }

@@ -36,8 +36,8 @@ export class Advice {
     this.showOdd(told.odd, recording);
     element("thin-row").hidden = !told.thin.length;
     const rows = told.axis_m === null ? []
-      : [["95 % ellipse, half its long axis", `${metres(told.axis_m)} m`]];
-    if (told.gain !== null) rows.push(["shorter with more boxes by", `${Math.round(100 * told.gain)} %`]);
+      : [["95 % ellipse", `± ${metres(told.axis_m)} m`]];
+    if (told.gain !== null) rows.push(["with ten boxes more", `−${Math.round(100 * told.gain)} %`]);
     for (const one of told.parameters) {
       const sigma = one.sigma === null ? "" : ` ± ${number(one.sigma)}`;
       const value = one.value === null ? "–" : number(one.value);

@@ -143,15 +143,18 @@ export class Points {
     this.take({ points: this.list });
     this.note(this.list.length ? "Fitting …" : "");
     try {
-      const told = await ask("/api/points/fit");
-      if (number !== this.fitting) return;
-      this.fits = new Map(told.points.map((one) => [one.number, one]));
-      const off = told.points.filter((one) => one.outlier).map((one) => one.number);
-      const without = told.left_out_m === null ? "" : `, ${metres(told.left_out_m ?? 0)} m each by a fit without it`;
-      this.note(told.error || (told.points.length
-        ? `The fit is ${metres(told.rmse_m)} m RMSE off the points${without}.`
-          + `${off.length ? ` It leaves out point ${off.join(", ")}.` : ""}` : ""));
-      this.take({ points: this.list });
+      // That of all points is there at once; those without each take longer.
+      for (const leftOut of [false, true]) {
+        let told = { stale: true };
+        while (told.stale) {
+          told = await ask(`/api/points/fit?left_out=${leftOut}`);
+          if (number !== this.fitting) return;
+        }
+        this.fits = new Map(told.points.map((one) => [one.number, one]));
+        this.note(told.error || fitWords(told, leftOut));
+        this.take({ points: this.list });
+        if (told.error) return;
+      }
     } catch (error) {
       if (number === this.fitting) this.note(error.message);
     }
@@ -274,6 +277,16 @@ export class Points {
   repaint() {
     this.map?.repaint();
   }
+}
+
+function fitWords(told, leftOut) {
+  if (!told.points.length) return "";
+  const without = !leftOut ? "; each is being left out in turn …"
+    : told.left_out_m === null ? "" : `, ${metres(told.left_out_m)} m each by a fit without it`;
+  const out = told.points.filter((one) => one.outlier).map((one) => one.number);
+  const outliers = out.length ? ` It leaves out point ${out.join(", ")}.` : "";
+  const off = told.rmse_m === null ? "" : `The fit is ${metres(told.rmse_m)} m RMSE off the points`;
+  return `${off}${without}.${outliers}`;
 }
 
 function titleOf(one) {
