@@ -232,7 +232,7 @@ def _with(content: _Content, frame: int, annotator: str, new: Sequence[TableRow 
     header = content.header
     if "annotator" not in header and any(not isinstance(one, TableRow) for one in new):
         header = (*header, "annotator")
-    kept = []
+    kept: list[tuple[tuple[str, ...], TableRow | None]] = []
     at: int | None = None
     for cells, row in content.rows:
         if row is not None and row.frame == frame and row.annotator == annotator:

@@ -127,19 +127,25 @@ class Design:
         _, by_camera, by_foot = project_with_jacobian(
             v[CAMERA], self._georeferencer.image_size_px, foot[:, 0], foot[:, 1], above
         )
+        # A camera that moves sees another side of the hull.
+        aside = np.stack([unit[:, 1], -unit[:, 0]], axis=1)
+        across = np.einsum("nij,nj->ni", by_foot[:, :, :2], aside)
+        reach = (aspect @ v[TARGET] / np.maximum(distance, 1e-9))[:, None]
+        by_place = by_foot[:, :, :2] - (across * reach)[:, :, None] * aside[:, None, :]
         out = np.zeros((n, 2, v.size))
         out[:, :, CAMERA] = by_camera
+        out[:, :, POSITION] = -by_place
         inwards = np.einsum("nij,nj->ni", by_foot[:, :, :2], unit)
         out[:, :, TARGET] = -inwards[:, :, None] * aspect[:, None, :]
         rows = np.arange(n)
         out[rows, 1, slots + BIAS_PX] = 1.0
         out[rows, :, slots + BIAS_M] = by_foot[:, :, 2]
-        late = np.einsum("nij,nj->ni", by_foot[:, :, :2], at.velocity_mps)
+        late = np.einsum("nij,nj->ni", by_place, at.velocity_mps)
         for name in dict.fromkeys(recordings or [self._recording]):
             own = np.ones(n, dtype=bool) if recordings is None else np.array(recordings) == name
             if name in self._clocks:
                 out[own, :, self._clocks[name]] = late[own]
-        return Derivatives(out, by_foot[:, :, :2], by_foot[:, :, 2])
+        return Derivatives(out, by_place, by_foot[:, :, 2])
 
     def noise_px2(self, at: LoggedFrames, derivatives: Derivatives) -> FloatArray:
         """(N, 2, 2) covariances of single feet: of all but what is the same for all of them."""

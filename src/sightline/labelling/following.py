@@ -79,10 +79,11 @@ class _Drawn:
         last = first + size + 2 * reach
         picture = np.array([image_bgr.shape[1], image_bgr.shape[0]])
         cut_low, cut_high = np.maximum(first, 0), np.minimum(last, picture)
-        window = image_bgr[cut_low[1] : cut_high[1], cut_low[0] : cut_high[0]]
-        if window.shape[0] < size[1] or window.shape[1] < size[0]:
+        # At the border it could not be found further out, and would seem to stay there.
+        if (corner < -0.5).any() or (corner + size > picture + 0.5).any():
             return box, -1.0
-        alike = cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED)
+        window = image_bgr[cut_low[1] : cut_high[1], cut_low[0] : cut_high[0]]
+        alike = np.asarray(cv2.matchTemplate(window, patch, cv2.TM_CCOEFF_NORMED), np.float32)
         _, best, _, (x, y) = cv2.minMaxLoc(alike)
         found = cut_low + np.array([x + _vertex(alike[y, :], x), y + _vertex(alike[:, x], y)])
         low = found + (self._box[:2] - self._corner) * real
@@ -177,7 +178,7 @@ def follow_box(
     first = next(remaining)
     drawn, box = _Drawn(first.image_bgr, box), box.astype(float)
     height, width = first.image_bgr.shape[:2]
-    before = cv2.cvtColor(first.image_bgr, cv2.COLOR_BGR2GRAY)
+    before = _grey(first)
     if detector is not None:
         detector.reset()
         detector = detector if _sees(detector, first, box) else None
@@ -189,18 +190,14 @@ def follow_box(
         there, here = expected(frame.index), expected(was.index)
         if there is not None and here is not None:
             shift = 0.5 * ((there[:2] + there[2:]) - (here[:2] + here[2:]))
-        now = cv2.cvtColor(frame.image_bgr, cv2.COLOR_BGR2GRAY)
+        now = _grey(frame)
         carried, share = _moved(before, now, box, shift)
         if share == 0.0:
             return
         settled, alike = drawn.settle(frame.image_bgr, carried)
         size = box[2:] - box[:2]
         step = 0.5 * (settled[:2] + settled[2:] - box[:2] - box[2:])
-        # Held against what was drawn, a box that has begun to leave would stay at the border.
-        inside = all(
-            one[:2].min() >= 0.0 and (one[2:] <= (width, height)).all()
-            for one in (carried, settled)
-        )
+        inside = settled[:2].min() >= 0.0 and (settled[2:] <= (width, height)).all()
         jumps = (np.abs(step - shift) > _MOST_ASIDE * np.maximum(size, size.mean())).any()
         if alike < _LEAST_ALIKE or not inside or jumps or size.min() < _LEAST_SHOWN_PX:
             return
@@ -217,6 +214,10 @@ def follow_box(
             held, unseen = [], 0
             yield found
         box, shift, before, was = settled, step, now, frame
+
+
+def _grey(frame: Frame) -> Grey:
+    return np.asarray(cv2.cvtColor(frame.image_bgr, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def _sees(detector: Detector, frame: Frame, box: FloatArray) -> bool:

@@ -101,7 +101,7 @@ class LoggedFrames:
     @property
     def known(self) -> BoolArray:
         """(N,) bool, whether the log tells the place."""
-        return np.isfinite(self.east_north_m).all(axis=1)
+        return np.asarray(np.isfinite(self.east_north_m).all(axis=1))
 
     def water_level_m(
         self, recording: Recording, georeferencer: Georeferencer
@@ -133,6 +133,8 @@ class LoggedFrames:
         level = self.water_level_m(recording, georeferencer)
         known = self.known if level is None else self.known & np.isfinite(level)
         east, north = np.where(known[:, None], self.east_north_m, np.nan).T
-        place = Synchronised(east, north, *self.velocity_mps.T, np.minimum(self.span_s, 1e3))
+        velocity = self.velocity_mps.T
+        span_s = np.minimum(self.span_s, 1e3)
+        place = Synchronised(east, north, velocity[0], velocity[1], span_s)
         safe = None if level is None else np.where(known, level, georeferencer.water_level_m or 0.0)
         return expect(place, georeferencer, size, safe)

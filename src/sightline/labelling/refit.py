@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -85,7 +86,8 @@ class Refits:
         self._path, self._frames = path, frames
         self._condition = threading.Condition()
         self._asked, self._done, self._closed = 0, 0, False
-        self._advice, self._situation = Advice(), None
+        self._advice = Advice()
+        self._situation: Situation | None = None
         self._settled: dict[str, tuple[float, ClockOffset | None]] = {}
         self._settled_at = 0
         self._thread: threading.Thread | None = None
@@ -233,7 +235,7 @@ def advise(scene: Scene, frames: Frames) -> tuple[Advice, Situation]:
         rmse_m=report.rmse_m if left_out is None else left_out.rmse_m,
         left_out=left_out is not None,
         parameters=report.parameters,
-        odd=_odd(fitted, left_out),
+        odd=_odd(fitted, left_out, _untaught(fitted, pairs)),
         thin=thin,
         enough=enough,
         reason=reason,
@@ -455,9 +457,38 @@ def _expected_gain(
     return before, float(np.clip(1.0 - after / before, 0.0, 1.0))
 
 
-def _odd(fitted: Georeferencer, left_out: _LeftOut | None) -> tuple[OddBox, ...]:
+def _untaught(fitted: Georeferencer, pairs: Correspondences) -> list[OddBox]:
+    """Boxes that the fit left out, since they and the log beside them cannot both be true."""
+    if fitted.moving or fitted.horizon_px is not None or not len(pairs):
+        return []
+    taught = {(box.recording, box.frame, box.source) for box in fitted.report.boxes}
+    level = pairs.water_level_m if fitted.water_level_m is not None else None
+    above = np.broadcast_to(fitted.above_m(level), (len(pairs),))
+    placed = fitted.regressor.locate(pairs.boxes.xyxy_px, pairs.boxes.source, above)
+    off = placed.east_north_m - pairs.east_north_m
+    out = []
+    for i in np.flatnonzero(pairs.fix_sigma_m == 0.0):
+        recording, source = str(pairs.recording[i]), str(pairs.boxes.source[i])
+        frame = int(pairs.boxes.frame[i])
+        if (recording, frame, source) in taught:
+            continue
+        known = np.isfinite(off[i]).all()
+        spread = placed.covariance_m2[i]
+        sigmas = float(np.sqrt(off[i] @ np.linalg.solve(spread, off[i]))) if known else np.inf
+        error_m = float(np.hypot(*off[i])) if known else float("inf")
+        said = (
+            f"The box of frame {frame} is left out: it and the log beside it cannot both be true; "
+            "look at its lower edge, and at the log."
+        )
+        out.append(OddBox(recording, frame, source, sigmas, error_m, said))
+    return out
+
+
+def _odd(
+    fitted: Georeferencer, left_out: _LeftOut | None, untaught: Sequence[OddBox]
+) -> tuple[OddBox, ...]:
     """Boxes that disagree with the others, the oddest first."""
-    found = []
+    found = list(untaught)
     for i, box in enumerate(fitted.report.boxes):
         sigmas = float("nan") if left_out is None else float(left_out.sigmas[i])
         error_m = box.error_m if left_out is None else float(left_out.error_m[i])
