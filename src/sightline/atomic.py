@@ -67,7 +67,7 @@ def atomic_path(path: str | os.PathLike[str], *, wait_s: float = 0.0) -> Iterato
     final = Path(os.path.realpath(path))
     work = _hidden(final)
     try:
-        with _made_folders(final.parent), _own_folder(work, path, wait_s) as folder:
+        with _made_folders(final.parent), own_folder(work, path, wait_s) as folder:
             temporary = folder / final.name
             temporary.touch()
             yield temporary
@@ -108,7 +108,7 @@ def atomic_folder(
     goal = Path(os.path.realpath(path))
     work = _beside_or_in(goal)
     try:
-        with _made_folders(goal.parent), _own_folder(work, path) as folder:
+        with _made_folders(goal.parent), own_folder(work, path) as folder:
             made = folder / "files"
             made.mkdir()
             try:
@@ -213,7 +213,7 @@ def _made_folders(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _own_folder(folder: Path, goal: str | os.PathLike[str], wait_s: float = 0.0) -> Iterator[Path]:
+def own_folder(folder: Path, goal: str | os.PathLike[str], wait_s: float = 0.0) -> Iterator[Path]:
     """A folder that nobody else has while the block lasts: empty before, removed after.
 
     Args:

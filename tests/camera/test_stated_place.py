@@ -102,6 +102,14 @@ def test_a_linear_camera_is_the_same_relaxed_and_fitted_under_the_wide_prior(see
     np.testing.assert_allclose(one.prior_sigma, other.prior_sigma)
 
 
+def test_a_fit_less_sure_of_the_place_than_its_prior_is_relaxed_to_a_wide_one() -> None:
+    # No linear camera is; noise that was estimated once more can make one.
+    one = fitted(np.zeros((ROWS, SIZE)), np.zeros(ROWS), 3.0)
+    found = relaxed(replace(one, covariance=1.2 * one.covariance)).covariance[POSITION, POSITION]
+    assert np.all(np.linalg.eigvalsh(found) >= WRONG_PLACE_SIGMA_M**2)
+    assert np.all(np.linalg.eigvalsh(found) <= (1.3 * WRONG_PLACE_SIGMA_M) ** 2)
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("place_m", [(0.0, 0.0), (15.0, 10.0), (40.0, -60.0), (0.0, 250.0)])
 def test_a_fit_is_doubted_as_far_as_bayes_factor_says(

@@ -13,6 +13,7 @@ import typer
 
 from sightline import __version__, signals
 from sightline.cli import common
+from sightline.cli.batch import batch
 from sightline.cli.check import check
 from sightline.cli.compare import compare
 from sightline.cli.count import count
@@ -50,22 +51,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (
-    *(
-        demo,
-        check,
-        draw,
-        run,
-        fit,
-        compare,
-        track,
-        show,
-        live,
-        export,
-        evaluate,
-        count,
-        detect,
-        simulate,
-    ),
+    *(demo, check, draw, run, fit, compare, track, batch, show, live, export),
+    *(evaluate, count, detect, simulate),
 )
 for command in COMMANDS:
     app.command(cls=TrackCommand if command in (track, export) else None)(command)

@@ -45,6 +45,7 @@ _RESULTS = (
     {"detectors", "split", "settings"},
     {"labels", "recordings"},
     {"every_s", "journeys", "near_misses"},
+    {"recordings", "done", "before", "failed"},
 )
 _SCENE_MARK = "# A synthetic harbour"
 _TRUTH = {"camera", "boats", "settings"}

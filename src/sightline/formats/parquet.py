@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from sightline._optional import module
@@ -15,6 +17,12 @@ from sightline.errors import InputError
 from sightline.formats import _files, _track_table
 from sightline.types import Track
 
+_GEOMETRY = "geometry"
+_GEO = {
+    "version": "1.1.0",
+    "primary_column": _GEOMETRY,
+    "columns": {_GEOMETRY: {"encoding": "WKB", "geometry_types": ["Point"]}},
+}
 _TEXTS = ("label", "kind", "state")
 _LONGEST_TEXT = 1000
 _MOST_ROWS = 20_000_000
@@ -22,26 +30,42 @@ _MOST_ROWS = 20_000_000
 
 @contextmanager
 def parquet_track_writer(path: Path) -> Iterator[ParquetTrackWriter]:
-    """Write tracks one at a time, each as a group of rows."""
+    """Write tracks one at a time, each as a group of rows: GeoParquet 1.1, a point a row.
+
+    Source: https://geoparquet.org/releases/v1.1.0/ (coordinates are OGC:CRS84 unless said).
+    """
     arrow = module("pyarrow", "parquet")
-    schema = arrow.Schema.from_pandas(_track_table.empty(), preserve_index=False)
+    plain = arrow.Schema.from_pandas(_track_table.empty(), preserve_index=False)
+    described = {**(plain.metadata or {}), b"geo": json.dumps(_GEO).encode()}
+    schema = plain.append(arrow.field(_GEOMETRY, arrow.binary())).with_metadata(described)
     with module("pyarrow.parquet", "parquet").ParquetWriter(path, schema) as file:
-        yield ParquetTrackWriter(file, schema)
+        yield ParquetTrackWriter(file, plain, schema)
 
 
 class ParquetTrackWriter:
     """Adds tracks to an open Parquet file; see `parquet_track_writer`."""
 
-    def __init__(self, file: Any, schema: Any) -> None:
+    def __init__(self, file: Any, plain: Any, schema: Any) -> None:
         self._file = file
+        self._plain = plain
         self._schema = schema
 
     def add(self, track: Track) -> None:
         """Write one track."""
-        rows = module("pyarrow", "parquet").Table.from_pandas(
-            _track_table.table(track), schema=self._schema, preserve_index=False
-        )
-        self._file.write_table(rows)
+        arrow = module("pyarrow", "parquet")
+        frame = _track_table.table(track)
+        rows = arrow.Table.from_pandas(frame, schema=self._plain, preserve_index=False)
+        points = arrow.array(_points(frame), arrow.binary())
+        columns = [*rows.columns, points]
+        self._file.write_table(arrow.Table.from_arrays(columns, schema=self._schema))
+
+
+def _points(frame: pd.DataFrame) -> list[bytes]:
+    """The places of rows as well-known binary: little-endian, type 1, longitude, latitude."""
+    made = np.empty(len(frame), [("order", "u1"), ("type", "<u4"), ("xy", "<f8", 2)])
+    made["order"], made["type"] = 1, 1
+    made["xy"] = frame[["longitude_deg", "latitude_deg"]].to_numpy()
+    return [row.tobytes() for row in made]
 
 
 def read_parquet_table(path: str | os.PathLike[str]) -> pd.DataFrame:

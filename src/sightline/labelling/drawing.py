@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -176,6 +177,7 @@ class Drawing:
             self._path,
             Frames(self._recording.name, self.annotator, self._numbers, self._size_px),
         )
+        self._last_rows = self._table.rows()
         if any(one.boxes_path is not None for one in self._scene.recordings):
             self._refits.ask()
 
@@ -191,7 +193,7 @@ class Drawing:
 
     def frames(self) -> list[FrameSummary]:
         """All frames, in order."""
-        drawn = {row.frame for row in self._table.rows()}
+        drawn = {row.frame for row in self._rows()}
         with self._lock:
             proposed = set(self._proposed)
         known, gap_s = self._logged.known, self._logged.gap_s
@@ -222,7 +224,7 @@ class Drawing:
         """All boxes of the logged target: drawn by anybody, then proposed; in order of frames."""
         drawn = [
             DrawnBox(row.frame, *row.box, row.annotator, True, row.confidence)
-            for row in self._table.rows()
+            for row in self._rows()
         ]
         with self._lock:
             proposed = list(self._proposed.values())
@@ -247,7 +249,7 @@ class Drawing:
             after = self._table.put(number, self.annotator, [box], expected=before)
             self._skipped.discard(number)
             self._did(number, before, after, {number: None})
-            self._refits.ask()
+            self._changed()
 
     def remove(self, frame: int) -> None:
         """Throw the proposed box of a frame away, or else the annotator's own.
@@ -267,7 +269,7 @@ class Drawing:
             if before:
                 self._table.put(number, self.annotator, [], expected=before)
                 self._did(number, before, (), {})
-                self._refits.ask()
+                self._changed()
                 return
             others = {row.annotator for row in self._table.rows() if row.frame == number}
             if others:
@@ -387,6 +389,9 @@ class Drawing:
 
     def advice(self) -> Advice:
         """What the newest fit that is finished says of the boxes so far."""
+        # A table that is broken is told where it is asked for.
+        with suppress(InputError):
+            self._rows()
         return self._refits.newest()[0]
 
     def wait(self, timeout_s: float = 60.0) -> bool:
@@ -458,7 +463,7 @@ class Drawing:
             name = self._recording.name
             self._background = Background.of(self._frames_of(some.tolist()), name)
         drawn = {row.frame: row.box for row in self._table.rows() if self._mine(row)}
-        # The boxes that are drawn tell the habits of who draws.
+        # The boxes that are drawn tell how tight somebody draws.
         asked = np.array(sorted({*numbers, *drawn}), dtype=np.int64)
         asked = asked[np.isin(asked, self._numbers)]
         boxes = np.array([drawn.get(number, (np.nan,) * 4) for number in asked.tolist()])
@@ -487,6 +492,19 @@ class Drawing:
             recording, plane = replace(recording, fixes_path=None), LocalPlane(0.0, 0.0)
         return LoggedFrames.of(recording, self._numbers, self._time_utc_s, plane)
 
+    def _rows(self) -> list[TableRow]:
+        """The rows of the table; where others have changed them, a fit to these is asked for."""
+        rows = self._table.rows()
+        with self._lock:
+            if rows != self._last_rows:
+                self._last_rows = rows
+                self._refits.ask()
+        return rows
+
+    def _changed(self) -> None:
+        self._last_rows = self._table.rows()
+        self._refits.ask()
+
     def _go(
         self,
         steps: list[_Step],
@@ -499,7 +517,7 @@ class Drawing:
         try:
             if frame is not None:
                 self._table.put(frame, self.annotator, rows, expected=expected)
-                self._refits.ask()
+                self._changed()
         except OutputError:
             raise
         except InputError:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from sightline.area import Area
 from sightline.camera.stated import PICTURE_FOCAL_SHARE, SLOTS, StatedCamera, stated_camera
 from sightline.clock import Clock, OffsetClock, presentation_clock
 from sightline.clock_offset import STATED_SIGMA_S, ClockOffset, ClockPrior
+from sightline.configuration import posix_s
 from sightline.detection.onnx import DetectorOptions
 from sightline.detection.tiling import TilingSettings
 from sightline.errors import InputError, unknown_name
@@ -700,13 +700,10 @@ def _recording(
         paths[f"{key}_path"] = None if written is None else base / written
         if written is not None:
             _check_there(scene, f"recordings[{number + 1}].{key}", base / written, key == "frames")
-    start = table.start_utc
-    if start is not None and start.tzinfo is None:
-        start = start.replace(tzinfo=UTC)
     clock = _stated_clock(table.clock_offset_s)
     return Recording(
         name=table.name,
-        start_utc_s=None if start is None else start.timestamp(),
+        start_utc_s=posix_s(table.start_utc),
         mmsi=table.mmsi,
         water_level_m=table.water_level_m,
         image_size_px=camera.image_size_px,

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import (
     AliasChoices,
-    BaseModel,
-    ConfigDict,
     Field,
-    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
 
+from sightline.configuration import Table, UtcTime, checked, read_toml
 from sightline.errors import InputError, no_scene_file
 
-_LONGEST = 80
 # Whole metres are stated, and of either side.
 _HULL_SHARE, _HULL_M = 0.05, 1.5
 # A picture that is cut out of a larger one may lie far from the axis, but not so far.
@@ -39,12 +34,6 @@ Metres = Annotated[float, Field(gt=0.0, le=600.0)]
 
 
 Aboard = Annotated[float, Field(ge=0.0, le=600.0)]
-
-
-class Table(BaseModel):
-    """A table of keys and values in which no other key may stand."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 STATED = {
@@ -147,7 +136,7 @@ class RecordingTable(Table):
     name: Annotated[str, Field(min_length=1)]
     video: str | None = None
     frames: str | None = None
-    start_utc: datetime | None = None
+    start_utc: UtcTime | None = None
     clock: str | None = None
     boxes: str | None = None
     detections: str | None = None
@@ -169,13 +158,6 @@ class RecordingTable(Table):
             raise ValueError(
                 f"{value!r} holds / or \\ or what cannot be printed, and files are named after it"
             )
-        return value
-
-    @field_validator("start_utc", mode="before")
-    @classmethod
-    def _moment(cls, value: object) -> object:
-        if isinstance(value, str):
-            return datetime.fromisoformat(value)
         return value
 
     @field_validator("clock_offset_s")
@@ -243,8 +225,8 @@ class SceneTable(Table):
     """A whole scene file."""
 
     camera: CameraTable = CameraTable()
-    recordings: list[RecordingTable] = []
-    control_points: list[PointTable] | str = []
+    recordings: list[RecordingTable] = Field(default_factory=list)
+    control_points: list[PointTable] | str = Field(default_factory=list)
     detection: DetectionTable = DetectionTable()
 
     @model_validator(mode="after")
@@ -252,15 +234,6 @@ class SceneTable(Table):
         if not self.recordings and not self.control_points:
             raise ValueError("give [[recordings]] or [[control_points]]; the scene is empty")
         return self
-
-
-_TABLES: dict[str, type[Table]] = {
-    "": SceneTable,
-    "camera": CameraTable,
-    "detection": DetectionTable,
-    "recordings": RecordingTable,
-    "control_points": PointTable,
-}
 
 
 def parse_scene_table(path: Path) -> SceneTable:
@@ -272,50 +245,7 @@ def parse_scene_table(path: Path) -> SceneTable:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected a scene file, as {path / 'scene.toml'}")
     try:
-        # Some editors begin a file with a byte order mark.
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = read_toml(path, "scene file")
     except FileNotFoundError as error:
         raise no_scene_file(path) from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text in UTF-8, so it is no scene file") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no TOML: {_shortened(str(error))}") from error
-    try:
-        return SceneTable.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{path}: {_first_problem(error)}") from error
-
-
-def _first_problem(error: ValidationError) -> str:
-    """The first problem of a validation in one line: the key's path, and what mends it."""
-    # An unknown key is often why another is missing, so it goes first.
-    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-    problem = problems[0]
-    # The names of the alternatives of a union are no keys.
-    alternatives = ("str", "list[str]", "list[PointTable]", "float", "list[float]")
-    steps = [step for step in problem["loc"] if step not in alternatives]
-    where = ""
-    for step in steps:
-        key = _shortened(str(step))
-        where += f"[{step + 1}]" if isinstance(step, int) else f".{key}" if where else key
-    if problem["type"] == "extra_forbidden":
-        table = str(steps[0]) if len(steps) > 1 else ""
-        known = ", ".join(_TABLES[table].model_fields)
-        return f"unknown key {where}; known are {known}"
-    if problem["type"] == "missing":
-        return f"{where} is missing"
-    if problem["type"] == "model_type":
-        given = _shortened(repr(problem["input"]))
-        return f"{where}: expected a table of keys and values; it is {given}"
-    message = problem["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    given = problem["input"]
-    if isinstance(given, str | int | float | list) and problem["type"] != "value_error":
-        message += f"; it is {_shortened(repr(given))}"
-    return f"{where}: {message}" if where else message
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return checked(path, content, SceneTable)
