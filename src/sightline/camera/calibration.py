@@ -246,6 +246,65 @@ def fit_camera(
     return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 
+def expected_fit(
+    sightings: PointCorrespondences,
+    camera: Camera,
+    *,
+    n_sources: int,
+    prior: CameraPrior | None = None,
+    noise: PixelNoise | None = None,
+    settings: CameraFitSettings | None = None,
+) -> CameraFit:
+    """The fit that correspondences of a known camera would lead to.
+
+    It is `fit_camera` with the true camera in place of a search: which correspondences count, the
+    model, its priors, the noise that residuals tell and the covariance are the same. It ends where
+    the priors and the noise draw the estimate, as far as the data let them.
+
+    Args:
+        sightings: At least three, not all in one place, as the camera sees them, noise and all.
+        camera: It.
+        n_sources: How many sources of boxes there are.
+        prior: Beliefs about the camera; absent: those of an ordinary camera.
+        noise: Noise of a foot, taken as known; absent: estimated from the residuals.
+        settings: Its starts and its seed are of no use here.
+
+    Raises:
+        FitError: Too few points, or all in one place, or they are not seen.
+    """
+    _check_enough(sightings)
+    prior, settings = prior or CameraPrior(), settings or CameraFitSettings()
+    model = MixedModel(
+        sightings[thinned(sightings.time_s, sightings.log)],
+        camera.image_size_px,
+        n_sources,
+        prior,
+        settings.position_known,
+        None,
+        settings.heaving,
+    )
+    model.expect_clocks(settings.clocks)
+    start = model.mean.copy()
+    start[CAMERA] = camera.to_vector()
+    assumed = noise or PixelNoise()
+    # As a search goes on from wherever it has begun: where boxes leave it open how large targets
+    # are, the priors decide, and not the truth.
+    wide = model.solve(start, assumed.scaled(_WIDE), evaluations=50)
+    solution = model.solve(wide[1], assumed, evaluations=50) if wide is not None else None
+    if wide is None or solution is None:
+        raise FitError(_BEHIND)
+    vector, doubt = np.append(solution[1], 0.0), np.zeros(start.size + 1)
+    if noise is None:
+        best, noise, doubt = model.with_estimated_noise(vector, np.append(wide[1], 0.0), assumed)
+    else:
+        model.expect_hull(vector)
+        best = model.refine(vector, noise)
+    if best is None:
+        raise FitError(_BEHIND)
+    best.vector[HEADING] = np.mod(best.vector[HEADING], 2.0 * np.pi)
+    return _Summary(model, doubt).at(best, noise, [best.vector], 1)
+
+
 class _Summary:
     """The fit of a model at a maximum of its posterior."""
 

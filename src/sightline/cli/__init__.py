@@ -25,6 +25,7 @@ from sightline.cli.evaluate import evaluate
 from sightline.cli.export import export
 from sightline.cli.fit import fit
 from sightline.cli.live import live
+from sightline.cli.plan import plan
 from sightline.cli.run import run
 from sightline.cli.show import show
 from sightline.cli.simulate import simulate
@@ -51,7 +52,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (
-    *(demo, check, draw, run, fit, compare, track, batch, show, live, export),
+    *(demo, plan, check, draw, run, fit, compare, track, batch, show, live, export),
     *(evaluate, count, detect, simulate),
 )
 for command in COMMANDS:

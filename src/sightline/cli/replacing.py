@@ -46,6 +46,7 @@ _RESULTS = (
     {"labels", "recordings"},
     {"every_s", "journeys", "near_misses"},
     {"recordings", "done", "before", "failed"},
+    {"plan", "curvature", "undetermined"},
 )
 _SCENE_MARK = "# A synthetic harbour"
 _TRUTH = {"camera", "boats", "settings"}
@@ -219,6 +220,11 @@ def _is_detector(path: Path) -> bool:
     return b"sightline" in tail
 
 
+def _is_contours(path: Path) -> bool:
+    head, _ = _ends(path)
+    return head.startswith(b'{"type": "FeatureCollection", "name": "sightline plan"')
+
+
 KINDS = {
     "tracks": "a file of tracks",
     "boxes": "a table of boxes",
@@ -229,6 +235,7 @@ KINDS = {
     "figure": "a figure",
     "video": "a video",
     "detector": "a detector",
+    "contours": "contours of a plan",
 }
 """What a file can hold, as messages name it."""
 
@@ -242,4 +249,5 @@ _KNOWN: dict[str, Callable[[Path], bool]] = {
     "figure": _is_figure,
     "video": _is_video,
     "detector": _is_detector,
+    "contours": _is_contours,
 }

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from sightline.camera.calibration import CameraFit, CameraFitSettings, fit_camera
+from sightline.camera.calibration import CameraFit, CameraFitSettings, expected_fit, fit_camera
 from sightline.camera.correlated_noise import CorrelatedError
 from sightline.camera.parameters import (
     CAMERA_AND_TARGET,
@@ -171,6 +171,34 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             clocks = dict(zip(self.fit_.clock_groups.tolist(), offset.tolist(), strict=True))
             late = np.array([clocks.get(int(g), 0.0) for g in self._group])
             self._learn_residual(o, o.east_north_m + late[:, None] * o.velocity_mps)
+        return self
+
+    def expect_observations(self, observations: CameraObservations, camera: Camera) -> Self:
+        """Become the model that `fit_observations` would lead to if it found the true camera.
+
+        Without the residual process, which learns what no plan knows.
+
+        Args:
+            observations: As the camera sees them, with noise where ``noise`` is to be estimated.
+            camera: The true one.
+
+        Raises:
+            FitError: The boxes are too few, or all in one place.
+        """
+        self.sources_ = observations.sources
+        self.fit_ = expected_fit(
+            observations.sightings(),
+            camera,
+            n_sources=len(self.sources_),
+            prior=self.prior,
+            noise=self.noise,
+            settings=CameraFitSettings(position_known=self.position_known, heaving=self.heaving),
+        )
+        self.n_features_in_ = 4
+        speeds = observations.velocity_mps
+        self.typical_speed_mps_ = float(np.sqrt(np.mean(speeds**2) * 2.0)) if len(speeds) else 0.0
+        self._prepare()
+        self.range_process_ = self.bearing_process_ = None
         return self
 
     def predict(

@@ -249,7 +249,7 @@ def fit_report(
         more = _camera_report(regressor, pairs, len(control), outlier)
         stated = stated or StatedCamera()
         told = [PARAMETERS[slot] for slot in stated.parameters]
-        undetermined = _undetermined(more["parameters"], told)
+        undetermined = on_undetermined(more["parameters"], told)
         of_points = _on_points(points, stated)
         more["statements"] = (*of_points, *undetermined, *more["statements"])
     errors = np.concatenate([certain, [point.error_m for point in points]])
@@ -353,24 +353,7 @@ def _camera_report(
     regressor: CameraRegressor, pairs: Correspondences, control_points: int, outlier: BoolArray
 ) -> dict[str, Any]:
     fitted = regressor.fit_
-    camera, determined = fitted.camera, fitted.determined()
     sigma = np.sqrt(np.diag(fitted.covariance))
-    parameters = []
-    for i, name in enumerate(PARAMETERS):
-        value = float(getattr(camera, name))
-        scale = {"height_m": value, "focal_px": value}.get(
-            name, np.degrees(1.0) if name.endswith("_deg") else 1.0
-        )
-        unit = next((u for end, u in _UNITS.items() if name.endswith(end)), "")
-        parameters.append(
-            Parameter(name, value, float(sigma[i] * scale), unit, bool(determined[i]))
-        )
-    if len(pairs):
-        known = fitted.target_determined()
-        for i, name in enumerate(TARGET_PARAMETERS):
-            value = float(fitted.vector[TARGET][i])
-            own_sigma = float(sigma[TARGET][i])
-            parameters.append(Parameter(name, value, own_sigma, "m", bool(known[i])))
     sources = []
     for i, name in enumerate(regressor.sources_):
         in_px, in_m = fitted.layout.bias_px(i), fitted.layout.bias_m(i)
@@ -385,13 +368,41 @@ def _camera_report(
             )
         )
     return {
-        "parameters": tuple(parameters),
+        "parameters": fitted_parameters(fitted, of_target=bool(len(pairs))),
         "sources": tuple(sources),
         "statements": _statements(fitted, pairs, control_points, outlier),
     }
 
 
-def _undetermined(parameters: Sequence[Parameter], told: Sequence[str]) -> list[str]:
+def fitted_parameters(fitted: CameraFit, *, of_target: bool) -> tuple[Parameter, ...]:
+    """Parameters of a fit as a report has them: with their units, and which the data determines.
+
+    Args:
+        fitted: The fit.
+        of_target: Whether there were boxes, which tell the size of the target.
+    """
+    camera, determined = fitted.camera, fitted.determined()
+    sigma = np.sqrt(np.diag(fitted.covariance))
+    parameters = []
+    for i, name in enumerate(PARAMETERS):
+        value = float(getattr(camera, name))
+        scale = {"height_m": value, "focal_px": value}.get(
+            name, np.degrees(1.0) if name.endswith("_deg") else 1.0
+        )
+        unit = next((u for end, u in _UNITS.items() if name.endswith(end)), "")
+        parameters.append(
+            Parameter(name, value, float(sigma[i] * scale), unit, bool(determined[i]))
+        )
+    if of_target:
+        known = fitted.target_determined()
+        for i, name in enumerate(TARGET_PARAMETERS):
+            value = float(fitted.vector[TARGET][i])
+            own_sigma = float(sigma[TARGET][i])
+            parameters.append(Parameter(name, value, own_sigma, "m", bool(known[i])))
+    return tuple(parameters)
+
+
+def on_undetermined(parameters: Sequence[Parameter], told: Sequence[str]) -> list[str]:
     """What is to be said of parameters that the data does not determine."""
     unknown = [p.name for p in parameters if p.name in PARAMETERS and not p.determined]
     usual, stated = ([n for n in unknown if (n in told) == known] for known in (False, True))
