@@ -14,6 +14,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,10 +27,11 @@ _LONGEST_NAME_BYTES = 200
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)
 _NO_SYNC = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 _ATTEMPTS = 100
+_PAUSE_S = 0.02
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_path(path: str | os.PathLike[str], *, wait_s: float = 0.0) -> Iterator[Path]:
     """Temporary path beside ``path`` that replaces it when the block ends well.
 
     The temporary file lies in a hidden folder beside the final one, so that the replacement is one
@@ -42,8 +44,11 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     A symbolic link stays, and what it leads to is replaced. A device or a pipe (``/dev/stdout``)
     cannot be replaced; it is written to when the block ends well.
 
+    Nobody else writes the file while the block lasts, so what is read in it is what is replaced.
+
     Args:
         path: Where the file is to be.
+        wait_s: How long to wait for somebody else who is writing to it.
 
     Yields:
         Where to write it: an empty file that exists already.
@@ -62,7 +67,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     final = Path(os.path.realpath(path))
     work = _hidden(final)
     try:
-        with _made_folders(final.parent), own_folder(work, path) as folder:
+        with _made_folders(final.parent), own_folder(work, path, wait_s) as folder:
             temporary = folder / final.name
             temporary.touch()
             yield temporary
@@ -208,17 +213,18 @@ def _made_folders(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def own_folder(folder: Path, goal: str | os.PathLike[str]) -> Iterator[Path]:
+def own_folder(folder: Path, goal: str | os.PathLike[str], wait_s: float = 0.0) -> Iterator[Path]:
     """A folder that nobody else has while the block lasts: empty before, removed after.
 
     Args:
         folder: Its path; its parent exists.
         goal: What is written in it, for messages.
+        wait_s: How long to wait for somebody else who has it.
 
     Raises:
         InputError: Somebody else has it, or it is none that this function made.
     """
-    lock = _taken(folder, goal)
+    lock = _taken(folder, goal, time.monotonic() + wait_s)
     if lock is None:
         # This disk knows no locks: then nobody can be told apart, and everybody takes a new one.
         folder = Path(tempfile.mkdtemp(suffix=_UNFINISHED, prefix=folder.stem, dir=folder.parent))
@@ -235,10 +241,12 @@ def own_folder(folder: Path, goal: str | os.PathLike[str]) -> Iterator[Path]:
             os.close(lock)
 
 
-def _taken(folder: Path, goal: str | os.PathLike[str]) -> int | None:
+def _taken(folder: Path, goal: str | os.PathLike[str], until_s: float) -> int | None:
     """The lock of a folder, which is made; None where the disk knows no locks."""
     lock = folder / _LOCK
-    for _ in range(_ATTEMPTS):
+    attempts = 0
+    while attempts < _ATTEMPTS:
+        attempts += 1
         try:
             folder.mkdir()
         except FileExistsError:
@@ -253,6 +261,11 @@ def _taken(folder: Path, goal: str | os.PathLike[str]) -> int | None:
             continue
         try:
             if not locked(handle):
+                if time.monotonic() < until_s:
+                    os.close(handle)
+                    time.sleep(_PAUSE_S)
+                    attempts = 0
+                    continue
                 raise InputError(
                     f"{goal}: another run is writing it; wait for that, or give another name"
                 )

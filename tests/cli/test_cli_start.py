@@ -32,7 +32,7 @@ MISSING_MODEL = (
 )
 COMMANDS = (
     *("demo", "check", "run", "fit", "compare", "track", "show", "evaluate", "count", "detect"),
-    "simulate",
+    *("draw", "simulate"),
 )
 DETECTOR_COMMANDS = ("label", "train", "evaluate", "compare", "export")
 
@@ -86,6 +86,7 @@ def test_version_and_help_load_nothing_heavy(lines: list[str], tmp_path: Path) -
     [
         ("check nothing.toml", MISSING_SCENE),
         ("run nothing.toml -o out", MISSING_SCENE),
+        ("draw nothing.toml", MISSING_SCENE),
         ("fit nothing.toml -o m.safetensors", MISSING_SCENE),
         ("compare nothing.toml", MISSING_SCENE),
         ("evaluate nothing.toml --model nothing.safetensors", MISSING_SCENE),

@@ -340,3 +340,30 @@ def test_a_long_name_has_room_for_what_hides_it(tmp_path: Path) -> None:
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict(
         zip(names, ("first", "second"), strict=True)
     )
+
+
+def test_who_waits_writes_after_the_other(tmp_path: Path) -> None:
+    """What is read inside of the block is what the other has left."""
+    target = tmp_path / "count"
+    target.write_text("0")
+
+    def add() -> None:
+        for _ in range(20):
+            with atomic_path(target, wait_s=30.0) as path:
+                path.write_text(str(int(target.read_text()) + 1))
+
+    threads = [threading.Thread(target=add) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert target.read_text() == "80"
+
+
+def test_who_has_waited_long_enough_is_refused(tmp_path: Path) -> None:
+    with (
+        atomic_path(tmp_path / "one") as path,
+        pytest.raises(InputError, match="another run is writing it"),
+        atomic_path(tmp_path / "one", wait_s=0.05),
+    ):
+        path.write_text("never")

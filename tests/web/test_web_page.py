@@ -17,7 +17,7 @@ from web_moments import HOSTILE, PLANE, SIZE_PX, START, harbour, moment, target,
 
 from sightline.moment import Moment
 from sightline.types import ellipses
-from sightline.web.app import STATIC
+from sightline.web.pages import STATIC
 from sightline.web.server import LiveServer
 
 OWN = sorted(

@@ -31,6 +31,8 @@ _OPTIONS = (
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
 )
+_CODES = {"Tab": 9, "Enter": 13, "Escape": 27, " ": 32, "Delete": 46}
+_CODES |= {f"Arrow{name}": 37 + i for i, name in enumerate(("Left", "Up", "Right", "Down"))}
 
 
 class Browser:
@@ -97,14 +99,49 @@ class Browser:
         done = self.call("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(done["data"]))
 
-    def press(self, key: str) -> None:
-        text = {"text": key} if len(key) == 1 else {}
-        self.call("Input.dispatchKeyEvent", type="keyDown", key=key, **text)
-        self.call("Input.dispatchKeyEvent", type="keyUp", key=key)
+    def press(self, key: str, *, shift: bool = False, ctrl: bool = False) -> None:
+        modifiers = 8 * shift + 2 * ctrl
+        text = {"text": key} if len(key) == 1 and not ctrl else {}
+        if key == "Enter":
+            text = {"text": "\r"}
+        code = {"windowsVirtualKeyCode": _CODES[key]} if key in _CODES else {}
+        told: dict[str, Any] = {"key": key, "modifiers": modifiers, **code}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **told, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **told)
+
+    def type(self, text: str) -> None:
+        """Put a text where the focus is, as pasting does."""
+        self.call("Input.insertText", text=text)
 
     def click(self, x: float, y: float) -> None:
-        for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y)
+
+    def drag(self, *places: tuple[float, float]) -> None:
+        """Press the mouse at the first place, and let it go at the last."""
+        self.mouse("mouseMoved", *places[0], held=False)
+        self.mouse("mousePressed", *places[0])
+        for place in places[1:]:
+            self.mouse("mouseMoved", *place)
+        self.mouse("mouseReleased", *places[-1])
+
+    def mouse(self, kind: str, x: float, y: float, *, held: bool = True) -> None:
+        button = "left" if held else "none"
+        buttons = int(held and kind != "mouseReleased")
+        self.call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            button=button,
+            buttons=buttons,
+            clickCount=int(held),
+        )
+
+    def touch(self, kind: str, *places: tuple[float, float]) -> None:
+        """Fingers: touchStart and touchMove with all that are down, touchEnd without any."""
+        points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from sightline.cli.count import count
 from sightline.cli.demo import demo
 from sightline.cli.detect import detect
 from sightline.cli.detector import detector
+from sightline.cli.draw import draw
 from sightline.cli.evaluate import evaluate
 from sightline.cli.export import export
 from sightline.cli.fit import fit
@@ -51,7 +52,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (
-    *(demo, plan, check, run, fit, compare, track, batch, show, live, export),
+    *(demo, plan, check, draw, run, fit, compare, track, batch, show, live, export),
     *(evaluate, count, detect, simulate),
 )
 for command in COMMANDS:

@@ -86,7 +86,7 @@ def _axis(texts: list[str], axis: int) -> FloatArray:
     try:
         return np.array([text or "nan" for text in texts], dtype=np.float64)
     except (ValueError, OverflowError):
-        values = (_angle(text, axis) for text in texts)
+        values = (angle(text, axis) for text in texts)
         return np.array([float("inf") if value is None else value for value in values])
 
 
@@ -115,8 +115,8 @@ def _leave_out(
             tally.leave_out(reason, int(which.sum()), row=where, text=text)
 
 
-def _angle(text: str, axis: int) -> float | None:
-    """Degrees of a text; NaN for none, None for what is no angle."""
+def angle(text: str, axis: int) -> float | None:
+    """Degrees of a text; NaN for none, None for what is no angle of an axis (0: latitude)."""
     if text.lower() in _NOTHING:
         return float("nan")
     try:

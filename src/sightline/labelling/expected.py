@@ -16,7 +16,7 @@ from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.scene import Recording, Scene
 from sightline.scene.correspondences import scene_correspondences
 from sightline.synchronisation import LARGEST_GAP_S, Synchronised, synchronise
-from sightline.types import BoolArray, FloatArray
+from sightline.types import BoolArray, FloatArray, IntArray
 
 _UNDER_WAY_MPS = 0.5
 """Below this speed a log does not tell where the bow points to."""
@@ -63,6 +63,11 @@ class Expected:
 
     def __len__(self) -> int:
         return int(self.xyxy_px.shape[0])
+
+    def __getitem__(self, rows: IntArray | BoolArray) -> Expected:
+        return Expected(
+            self.xyxy_px[rows], self.sigma_px[rows], self.range_m[rows], self.in_gap[rows]
+        )
 
 
 def camera_of(georeferencer: Georeferencer) -> CameraRegressor:

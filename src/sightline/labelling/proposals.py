@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -175,6 +176,27 @@ def propose(
         confidence=np.array([sure for _, sure, _ in found], dtype=float),
         reason=np.array([why for _, _, why in found], dtype=np.str_),
     )
+
+
+def propose_in(
+    frames: Sequence[Frame], expected: Expected, background: Background
+) -> tuple[FloatArray, FloatArray]:
+    """Propose boxes in single frames.
+
+    Args:
+        frames: N of a recording.
+        expected: In these.
+        background: Of the recording.
+
+    Returns:
+        (N, 4) boxes, NaN where there is none, and (N,) confidences, 0 there.
+    """
+    views = [
+        _view(frame, expected[np.array([i])], background, None) for i, frame in enumerate(frames)
+    ]
+    found = _choose(views)
+    boxes = np.array([box for box, _, _ in found], dtype=float).reshape(-1, 4)
+    return boxes, np.array([sure for _, sure, _ in found], dtype=float)
 
 
 _EMPTY = {

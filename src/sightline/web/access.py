@@ -21,6 +21,8 @@ _RATE_PER_S = 200.0
 _BURST = 400.0
 _ADDRESSES = 4096
 _COOKIE_DAYS = 30
+_MOST_BYTES = 64 * 1024
+_READING = ("GET", "HEAD", "OPTIONS")
 
 HEADERS = {
     # No script, style or picture but ours, and none within the page.
@@ -108,7 +110,8 @@ class Guard:
         if not self._host_is_ours(headers):
             await _refuse(scope, send, 421, "this server does not have that name\n")
             return
-        if scope["type"] == "websocket" and not _same_origin(headers):
+        changes = scope["type"] == "http" and scope["method"] not in _READING
+        if (scope["type"] == "websocket" or changes) and not _same_origin(headers):
             await _refuse(scope, send, 403, "a page from elsewhere\n")
             return
         if self._token is not None and not self._shows_token(headers):
@@ -131,6 +134,16 @@ class Guard:
                 message["headers"] = [*message.get("headers", ()), *_raw(HEADERS)]
             await send(message)
 
+        if changes:
+            kind = headers.get("content-type", "").partition(";")[0].strip().lower()
+            if kind != "application/json":
+                await _refuse(scope, send, 415, "expected application/json\n")
+                return
+            body = await _whole_body(receive)
+            if body is None:
+                await _refuse(scope, send, 413, f"expected at most {_MOST_BYTES} bytes\n")
+                return
+            receive = _replayed(body, receive)
         await self._app(scope, receive, send_with_headers)
 
     def _host_is_ours(self, headers: Mapping[str, str]) -> bool:
@@ -173,8 +186,36 @@ def _digest(text: str) -> bytes:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest()
 
 
+async def _whole_body(receive: Receive) -> bytes | None:
+    """What a request brings; None where that is more than any of ours does."""
+    parts: list[bytes] = []
+    size = 0
+    while True:
+        message = await receive()
+        if message["type"] != "http.request":
+            return b"".join(parts)
+        parts.append(message.get("body", b""))
+        size += len(parts[-1])
+        if size > _MOST_BYTES:
+            return None
+        if not message.get("more_body", False):
+            return b"".join(parts)
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    """A request whose body has been read already."""
+    waiting: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def again() -> Message:
+        return waiting.pop() if waiting else await receive()
+
+    return again
+
+
 def _same_origin(headers: Mapping[str, str]) -> bool:
-    """Whether a WebSocket is asked for by a page of ours, or by no browser."""
+    """Whether a WebSocket or a change is asked for by a page of ours, or by no browser."""
+    if headers.get("sec-fetch-site", "same-origin") != "same-origin":
+        return False
     origin = headers.get("origin")
     return origin is None or urlsplit(origin).netloc.lower() == headers.get("host", "").lower()
 

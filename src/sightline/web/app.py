@@ -1,53 +1,25 @@
-"""The endpoints of the page; imported only where the extra ``live`` is installed."""
+"""The endpoints of the live page; imported only where the extra ``live`` is installed."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import gzip
-import hashlib
 import json
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
-from fastapi import FastAPI, Query, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi import FastAPI, Query, Response, WebSocket, WebSocketDisconnect
 
 from sightline.errors import InputError
 from sightline.web.hub import Hub, Kept, Listener, message
+from sightline.web.pages import NO_STORE, json_answer, new_app
 
-STATIC = Path(__file__).parent / "static"
-"""The files of the page."""
-
-_TYPES = {
-    ".html": "text/html; charset=utf-8",
-    ".css": "text/css; charset=utf-8",
-    ".mjs": "text/javascript; charset=utf-8",
-    ".svg": "image/svg+xml",
-    ".txt": "text/plain; charset=utf-8",
-}
 _MOST_LISTENERS = 128
 _SEND_S = 10.0
 _MOST_READERS = 2
 _MOST_REPLAYED, _MOST_REPLAYED_S = 120, 86_400.0
 _LAST_UTC_S = 4e9
-_NO_STORE = {"cache-control": "no-store"}
-
-
-@dataclass(frozen=True)
-class _File:
-    media_type: str
-    plain: bytes
-    packed: bytes
-    tag: str
-
-    @classmethod
-    def read(cls, path: Path) -> _File:
-        plain = path.read_bytes()
-        tag = f'"{hashlib.sha256(plain).hexdigest()[:32]}"'
-        return cls(_TYPES[path.suffix], plain, gzip.compress(plain, 6, mtime=0), tag)
 
 
 def build_app(hub: Hub) -> FastAPI:
@@ -56,9 +28,7 @@ def build_app(hub: Hub) -> FastAPI:
     Args:
         hub: What it shows.
     """
-    # Its own pages of documentation would fetch scripts from elsewhere.
-    app = FastAPI(title="sightline", docs_url=None, redoc_url=None, openapi_url=None)
-    _add_page(app)
+    app = new_app("index.html")
     _add_data(app, hub)
     _add_kept(app, hub)
 
@@ -69,40 +39,13 @@ def build_app(hub: Hub) -> FastAPI:
     return app
 
 
-def _add_page(app: FastAPI) -> None:
-    files = {path.name: path for path in STATIC.iterdir() if path.suffix in _TYPES}
-    read: dict[str, _File] = {}
-
-    def answer(name: str, request: Request) -> Response:
-        if name not in files:
-            return Response("there is no such page\n", 404, media_type="text/plain")
-        if name not in read:
-            read[name] = _File.read(files[name])
-        file = read[name]
-        headers = {"etag": file.tag, "cache-control": "no-cache", "vary": "accept-encoding"}
-        if request.headers.get("if-none-match") == file.tag:
-            return Response(None, 304, headers)
-        if "gzip" in request.headers.get("accept-encoding", ""):
-            headers["content-encoding"] = "gzip"
-            return Response(file.packed, 200, headers, file.media_type)
-        return Response(file.plain, 200, headers, file.media_type)
-
-    @app.get("/")
-    def page(request: Request) -> Response:
-        return answer("index.html", request)
-
-    @app.get("/static/{name}")
-    def static(name: str, request: Request) -> Response:
-        return answer(name, request)
-
-
 def _add_data(app: FastAPI, hub: Hub) -> None:
     @app.get("/api/moment")
     async def moment() -> Response:
         text = None if hub.newest is None else message(hub.newest)
         if text is None:
-            return _json({"reason": "no moment yet"}, 503)
-        return Response(text, 200, _NO_STORE, "application/json")
+            return json_answer({"reason": "no moment yet"}, 503)
+        return Response(text, 200, NO_STORE, "application/json")
 
     @app.get("/api/about")
     async def about() -> Response:
@@ -116,42 +59,42 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             "boundaries": hub.boundaries is not None,
             "kept": hub.kept is not None,
         }
-        return _json(told)
+        return json_answer(told)
 
     # What asks others, and what takes long, runs beside the loop.
     @app.get("/healthz")
     def healthz() -> Response:
         health = hub.health()
-        return _json(health, 200 if health.get("state") == "ok" else 503)
+        return json_answer(health, 200 if health.get("state") == "ok" else 503)
 
     @app.get("/metrics")
     def metrics() -> Response:
         kind = "text/plain; version=0.0.4; charset=utf-8"
-        return Response(hub.metrics(), 200, {**_NO_STORE, "content-type": kind})
+        return Response(hub.metrics(), 200, {**NO_STORE, "content-type": kind})
 
     @app.get("/tracks.geojson")
     def tracks(minutes: Annotated[float, Query(gt=0.0, le=1440.0)] = 30.0) -> Response:
-        return Response(hub.memory.geojson(minutes), 200, _NO_STORE, "application/geo+json")
+        return Response(hub.memory.geojson(minutes), 200, NO_STORE, "application/geo+json")
 
     @app.get("/shore.geojson")
     async def shore() -> Response:
         if hub.shore is None:
-            return _json({"reason": "no shore was given"}, 404)
-        return Response(hub.shore, 200, _NO_STORE, "application/geo+json")
+            return json_answer({"reason": "no shore was given"}, 404)
+        return Response(hub.shore, 200, NO_STORE, "application/geo+json")
 
     @app.get("/boundaries.geojson")
     async def boundaries() -> Response:
         if hub.boundaries is None:
-            return _json({"reason": "no lines and no zones were given"}, 404)
-        return Response(json.dumps(hub.boundaries), 200, _NO_STORE, "application/geo+json")
+            return json_answer({"reason": "no lines and no zones were given"}, 404)
+        return Response(json.dumps(hub.boundaries), 200, NO_STORE, "application/geo+json")
 
     @app.get("/picture.jpg")
     def picture() -> Response:
         newest = hub.newest
         taken = None if hub.picture is None else hub.picture()
         if taken is None:
-            return _json({"reason": "no picture"}, 404)
-        headers = dict(_NO_STORE)
+            return json_answer({"reason": "no picture"}, 404)
+        headers = dict(NO_STORE)
         if newest is not None and newest.frame_size_px is not None:
             # Boxes are in the pixels of the frame, and the picture may be smaller.
             headers["x-frame-size"] = "{}x{}".format(*newest.frame_size_px)
@@ -164,13 +107,13 @@ def _add_kept(app: FastAPI, hub: Hub) -> None:
 
     def read(answer: Callable[[Kept], object]) -> Response:
         if hub.kept is None:
-            return _json({"reason": "nothing is kept"}, 404)
+            return json_answer({"reason": "nothing is kept"}, 404)
         if not reading.acquire(blocking=False):
-            return _json({"reason": "others are being answered; ask again"}, 503)
+            return json_answer({"reason": "others are being answered; ask again"}, 503)
         try:
-            return _json(answer(hub.kept))
+            return json_answer(answer(hub.kept))
         except (InputError, ValueError) as error:
-            return _json({"reason": str(error)}, 503)
+            return json_answer({"reason": str(error)}, 503)
         finally:
             reading.release()
 
@@ -231,8 +174,3 @@ async def _read(socket: WebSocket, listener: Listener) -> None:
             pass
     finally:
         listener.close()
-
-
-def _json(value: object, status: int = 200) -> Response:
-    """Written in ASCII: names from outside may hold what no encoding does."""
-    return Response(json.dumps(value, allow_nan=False), status, _NO_STORE, "application/json")

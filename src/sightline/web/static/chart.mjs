@@ -1,22 +1,13 @@
 // The map: targets with their ellipses, courses, trails and names.
 
-import * as maplibre from "/static/maplibre-gl.mjs";
-import { ahead, collection, ellipseRing, graticule } from "/static/geometry.mjs";
+import { BaseMap, colour, FONT, halo, line } from "/static/basemap.mjs";
+import { ahead, ellipseRing } from "/static/geometry.mjs";
 import { kind, title } from "/static/words.mjs";
 
 const AHEAD_S = 60;
 const TRAIL_S = 300;
 const TRAIL_POINTS = 200;
-const FONT = ["system-ui, sans-serif"];
-
-maplibre.setWorkerUrl("/static/maplibre-gl-worker.mjs");
-
-const EMPTY = collection([]);
-const SOURCES = ["grid", "grid-labels", "shore", "trails", "ellipses", "courses", "targets"];
-
-function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-}
+const SOURCES = ["trails", "ellipses", "courses", "targets"];
 
 function byKind() {
   return [
@@ -31,25 +22,7 @@ const CHOSEN = ["get", "chosen"];
 
 /** What is painted how, in the colours of the theme. */
 function layers() {
-  const line = (id, source, paint, more = {}) => ({ id, type: "line", source, paint, ...more });
-  const text = { "text-font": FONT, "text-size": 12 };
-  const halo = { "text-halo-color": colour("water"), "text-halo-width": 2 };
   return [
-    { id: "water", type: "background", paint: { "background-color": colour("water") } },
-    {
-      id: "land", type: "fill", source: "shore", filter: ["==", ["geometry-type"], "Polygon"],
-      paint: { "fill-color": colour("land") },
-    },
-    line("shore", "shore", { "line-color": colour("shore"), "line-width": 1.2 }),
-    line("grid", "grid", { "line-color": colour("grid"), "line-width": 1 }),
-    {
-      id: "grid-labels", type: "symbol", source: "grid-labels",
-      layout: {
-        ...text, "text-size": 11, "text-field": ["get", "label"], "text-anchor": ["get", "anchor"],
-        "text-padding": 0, "text-offset": [0.2, -0.1],
-      },
-      paint: { "text-color": colour("soft"), ...halo },
-    },
     line("trails", "trails", {
       "line-color": byKind(), "line-width": ["case", CHOSEN, 3, 1.5], "line-opacity": 0.55,
     }, { layout: { "line-cap": "round", "line-join": "round" } }),
@@ -81,11 +54,11 @@ function layers() {
     {
       id: "names", type: "symbol", source: "targets",
       layout: {
-        ...text, "text-field": ["get", "title"], "text-anchor": "left", "text-offset": [0.9, 0],
+        "text-font": FONT, "text-size": 12, "text-field": ["get", "title"], "text-anchor": "left", "text-offset": [0.9, 0],
         "text-max-width": 30,
         "text-optional": true, "symbol-sort-key": ["case", CHOSEN, 0, 1],
       },
-      paint: { "text-color": colour("ink"), ...halo },
+      paint: { "text-color": colour("ink"), ...halo() },
     },
   ];
 }
@@ -109,41 +82,15 @@ function feature(target, geometry, chosen) {
   };
 }
 
-export class Chart {
+export class Chart extends BaseMap {
   /**
    * @param {HTMLElement} element Where it is.
    * @param {(id: number | null) => void} choose Called with the target that was clicked.
    */
   constructor(element, choose) {
+    super(element, SOURCES, layers, "Map of the targets");
     this.trails = new Map();
     this.fitted = false;
-    this.map = new maplibre.Map({
-      container: element,
-      style: {
-        version: 8,
-        sources: Object.fromEntries(
-          SOURCES.map((name) => [name, { type: "geojson", data: EMPTY, tolerance: 0 }]),
-        ),
-        layers: layers(),
-      },
-      center: [0, 0],
-      zoom: 1,
-      maxZoom: 21,
-      attributionControl: false,
-      dragRotate: false,
-      pitchWithRotate: false,
-      touchPitch: false,
-      fadeDuration: 0,
-      locale: { "Map.Title": "Map of the targets" },
-    });
-    this.map.touchZoomRotate.disableRotation();
-    this.map.keyboard.disableRotation();
-    this.map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");
-    this.scale = new maplibre.ScaleControl({ maxWidth: 140, unit: "nautical" });
-    this.map.addControl(this.scale, "bottom-right");
-    this.ready = new Promise((resolve) => this.map.once("load", resolve));
-    this.ready.then(() => this.drawGrid());
-    this.map.on("moveend", () => this.drawGrid());
     this.map.on("click", (event) => choose(this.at(event.point)));
     this.map.on("mousemove", (event) => {
       this.map.getCanvas().style.cursor = this.at(event.point) === null ? "" : "pointer";
@@ -159,16 +106,6 @@ export class Chart {
       ? found
       : this.map.queryRenderedFeatures(point, { layers: ["ellipses"] });
     return near.length ? near[0].properties.id : null;
-  }
-
-  set(name, features) {
-    this.map.getSource(name)?.setData(collection(features));
-  }
-
-  drawGrid() {
-    const { lines, labels } = graticule(this.map.getBounds());
-    this.map.getSource("grid")?.setData(lines);
-    this.map.getSource("grid-labels")?.setData(labels);
   }
 
   /** Draw the targets of a moment. */
@@ -234,19 +171,15 @@ export class Chart {
   /** Show all targets. */
   fit(targets, animate = true) {
     if (!targets.length) return;
-    const bounds = new maplibre.LngLatBounds();
-    for (const one of targets) {
-      bounds.extend([one.longitude_deg, one.latitude_deg]);
-      for (const corner of ellipseRing(one, 8)) bounds.extend(corner);
-      if (moves(one)) bounds.extend(ahead(one, AHEAD_S));
-      for (const each of this.trails.get(one.id) ?? []) bounds.extend(each.place);
-    }
-    const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const places = targets.flatMap((one) => [
+      [one.longitude_deg, one.latitude_deg],
+      ...ellipseRing(one, 8),
+      ...(moves(one) ? [ahead(one, AHEAD_S)] : []),
+      ...(this.trails.get(one.id) ?? []).map((each) => each.place),
+    ]);
     // Room for the legend above and for names at the right.
     const side = Math.min(110, 0.12 * this.map.getContainer().clientWidth);
-    this.map.fitBounds(bounds, {
-      padding: { top: 70, bottom: 60, left: 0.5 * side, right: side }, maxZoom: 18, animate: animate && !calm,
-    });
+    this.fitPlaces(places, { top: 70, bottom: 60, left: 0.5 * side, right: side }, animate);
   }
 
   /** Bring a target into view. */
@@ -257,17 +190,5 @@ export class Chart {
 
   setUnits(units) {
     this.scale.setUnit(units === "kn" ? "nautical" : "metric");
-  }
-
-  setShore(data) {
-    this.map.getSource("shore")?.setData(data);
-  }
-
-  /** Take the colours of the theme that is shown now. */
-  repaint() {
-    for (const { id, paint } of layers()) {
-      if (!this.map.getLayer(id)) continue;
-      for (const [name, value] of Object.entries(paint)) this.map.setPaintProperty(id, name, value);
-    }
   }
 }

@@ -5,6 +5,9 @@ import { Filter, Replay } from "/static/history.mjs";
 import { Overlays } from "/static/overlays.mjs";
 import { Panel } from "/static/panel.mjs";
 import { Picture } from "/static/picture.mjs";
+import {
+  capital, keptSettings, nextSetting, showTheme, whenThemeChanges,
+} from "/static/settings.mjs";
 import { plain, time } from "/static/words.mjs";
 
 const element = (id) => document.getElementById(id);
@@ -12,16 +15,8 @@ const SILENT_MS = 5000;
 const LIST_MS = 500;
 const HEALTH_MS = 5000;
 
-const choices = { units: ["kn", "km/h"], zone: ["UTC", "local"], theme: ["auto", "light", "dark"] };
-const settings = Object.fromEntries(Object.entries(choices).map(([name, known]) => {
-  let kept = null;
-  try {
-    kept = localStorage.getItem(`sightline.${name}`);
-  } catch {
-    // Some browsers keep nothing.
-  }
-  return [name, known.includes(kept) ? kept : known[0]];
-}));
+const choices = { units: ["kn", "km/h"], zone: ["UTC", "local"], theme: ["auto", "light", "dark"], letters: ["on", "off"] };
+const settings = keptSettings(choices);
 
 const state = { moment: null, replayed: null, chosen: null, arrivedMs: 0, drawn: true, connected: false };
 const panel = new Panel(choose);
@@ -167,9 +162,7 @@ async function recall() {
 }
 
 function applyTheme() {
-  const dark = settings.theme === "dark"
-    || (settings.theme === "auto" && matchMedia("(prefers-color-scheme: dark)").matches);
-  document.documentElement.dataset.theme = dark ? "dark" : "light";
+  showTheme(settings.theme);
   chart?.repaint();
   overlays?.repaint();
   picture.paint();
@@ -178,20 +171,15 @@ function applyTheme() {
 function applySettings() {
   element("units").textContent = settings.units;
   element("zone").textContent = settings.zone;
-  element("theme").textContent = settings.theme[0].toUpperCase() + settings.theme.slice(1);
+  element("theme").textContent = capital(settings.theme);
+  element("letters").textContent = `Keys ${settings.letters}`;
   chart?.setUnits(settings.units);
   applyTheme();
   list();
 }
 
 function next(name) {
-  const known = choices[name];
-  settings[name] = known[(known.indexOf(settings[name]) + 1) % known.length];
-  try {
-    localStorage.setItem(`sightline.${name}`, settings[name]);
-  } catch {
-    // It holds until the page is closed.
-  }
+  nextSetting(settings, choices, name);
   applySettings();
 }
 
@@ -204,6 +192,7 @@ const actions = {
   d: () => next("theme"),
   Escape: () => choose(null),
 };
+element("letters").addEventListener("click", () => next("letters"));
 for (const [id, key] of [["fit", "f"], ["units", "u"], ["zone", "t"], ["theme", "d"]]) {
   element(id).addEventListener("click", actions[key]);
 }
@@ -211,9 +200,10 @@ document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   // There, letters choose.
   if (event.target instanceof HTMLSelectElement) return;
+  if (event.key.length === 1 && settings.letters === "off") return;
   actions[event.key]?.();
 });
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", applyTheme);
+whenThemeChanges(applyTheme);
 addEventListener("resize", () => picture.paint());
 
 replay.toggleButton.hidden = true;
