@@ -395,15 +395,51 @@ def database(rng: Rng, content: bytes) -> bytes:
         "PRAGMA user_version = 99999",
     )
     columns = ("track_id", "time_utc", "latitude_deg", "longitude_deg", "kind", "label")
-    values = (
-        *("NULL", "'x'", "x'ff'", "1e308", "-1", "9223372036854775807", "''", "'nan'", "180.1"),
-        *("'2024-13-01T00:00:00Z'", "'9999-12-31T23:59:59Z'", "9e999", "CAST(x'ff' AS TEXT)"),
-    )
     column = columns[int(rng.integers(len(columns)))]
-    written = f"UPDATE tracks SET {column} = {values[int(rng.integers(len(values)))]}"  # noqa: S608
+    written = f"UPDATE tracks SET {column} = {pick(rng, SQL_VALUES)}"  # noqa: S608
     if rng.random() < 0.5:
         written += f" WHERE fid % {int(rng.integers(1, 6))} = 0"
     asked = written if rng.random() < 0.6 else statements[int(rng.integers(len(statements)))]
+    return _executed(rng, content, lambda _: asked)
+
+
+FACTORS = ("-1", "1e-9", "1e9", "1e300", "1000")
+SQL_VALUES = (
+    *("NULL", "'x'", "x'ff'", "1e308", "-1", "9223372036854775807", "''", "'nan'", "180.1"),
+    *("'2024-13-01T00:00:00Z'", "'9999-12-31T23:59:59Z'", "9e999", "CAST(x'ff' AS TEXT)"),
+    *("0", "-9223372036854775808", "1e-320", "'<![CDATA[&'", "char(0, 27, 8238)", "4611686018427"),
+)
+"""What may stand in a cell of a table of SQLite."""
+
+
+def any_table(rng: Rng, content: bytes) -> bytes:
+    """A database of SQLite in which a cell, a column or a row of any table is another."""
+
+    def asked(connection: sqlite3.Connection) -> str:
+        rows = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+        table = pick(rng, [name for (name,) in rows])
+        columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{table}")')]
+        column = pick(rng, columns)
+        changed = f'UPDATE OR REPLACE "{table}" SET "{column}" = '  # noqa: S608
+        below = f'WHERE "{column}" <= (SELECT avg("{column}") FROM "{table}")'  # noqa: S608
+        return pick(
+            rng,
+            [
+                *[f"{changed}{pick(rng, SQL_VALUES)}"] * 5,
+                f'{changed}"{column}" * {pick(rng, FACTORS)}',
+                f'ALTER TABLE "{table}" RENAME COLUMN "{column}" TO "other"',
+                f'DELETE FROM "{table}" {below}',  # noqa: S608
+                f'DROP TABLE "{table}"',
+                "PRAGMA application_id = 0",
+                f"PRAGMA user_version = {pick(rng, ('0', '99999', '-1'))}",
+            ],
+        )
+
+    return _executed(rng, content, asked)
+
+
+def _executed(rng: Rng, content: bytes, asked: Callable[[sqlite3.Connection], str]) -> bytes:
+    """A database in which SQL has been at work; where it cannot be, bits are flipped."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tracks.gpkg"
         path.write_bytes(content)
@@ -414,7 +450,7 @@ def database(rng: Rng, content: bytes) -> bytes:
             ).fetchall():
                 # They ask for functions that only GDAL knows.
                 connection.execute(f'DROP TRIGGER "{trigger}"')
-            connection.execute(asked)
+            connection.execute(asked(connection))
             connection.commit()
         except (sqlite3.Error, UnicodeDecodeError):
             return flip(rng, content)
@@ -422,6 +458,9 @@ def database(rng: Rng, content: bytes) -> bytes:
             connection.close()
         return path.read_bytes()
 
+
+STORE: tuple[Mutator, ...] = (*(any_table,) * 14, *BYTES)
+"""For what live keeps."""
 
 GEOPACKAGE: tuple[Mutator, ...] = (*(database,) * 14, *BYTES)
 """For GeoPackages."""

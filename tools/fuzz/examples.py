@@ -6,7 +6,7 @@ import io
 import json
 import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import av
@@ -373,16 +373,21 @@ def frames(count: int = 8) -> Iterator[np.ndarray]:
 
 def _videos(folder: Path) -> None:
     for name, (container, codec) in _VIDEOS.items():
-        with av.open(str(folder / name), "w", format=container, options=_SAME) as file:
-            if container in ("mp4", "mov", "matroska"):
-                file.metadata["creation_time"] = "2024-06-01T10:00:00.000000Z"
-            stream = file.add_stream(codec, rate=10)
-            stream.width, stream.height = FRAME_PX
-            stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
-            stream.codec_context.thread_count = 1
-            for image in frames():
-                file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
-            file.mux(stream.encode())
+        _video(folder / name, container, codec, frames())
+
+
+def _video(path: Path, container: str, codec: str, pictures: Iterable[np.ndarray]) -> None:
+    pictures = list(pictures)
+    with av.open(str(path), "w", format=container, options=_SAME) as file:
+        if container in ("mp4", "mov", "matroska"):
+            file.metadata["creation_time"] = "2024-06-01T10:00:00.000000Z"
+        stream = file.add_stream(codec, rate=10)
+        stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        stream.codec_context.thread_count = 1
+        stream.height, stream.width = pictures[0].shape[:2]
+        for image in pictures:
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        file.mux(stream.encode())
 
 
 def _pictures(folder: Path) -> None:
@@ -425,9 +430,39 @@ def _areas(folder: Path) -> None:
     features = [{"type": "Feature", "properties": {}, "geometry": shape} for shape in shapes]
     content = {"type": "FeatureCollection", "features": features}
     (folder / "water.geojson").write_text(json.dumps(content))
+    _boundaries(folder)
     mask = np.full((FRAME_PX[1], FRAME_PX[0]), 255, dtype=np.uint8)
     mask[:30] = 0
     Image.fromarray(mask).save(folder / "mask.png")
+
+
+def _boundaries(folder: Path) -> None:
+    """Lines and zones, which the tracks of the examples cross."""
+    plane = LocalPlane(54.3233, 10.1394)
+
+    def places(*east_north_m: tuple[float, float]) -> list[list[float]]:
+        east_m, north_m = np.transpose(east_north_m)
+        latitude_deg, longitude_deg = plane.to_geographic(east_m, north_m)
+        return np.stack([longitude_deg, latitude_deg], axis=1).tolist()
+
+    pier = places((15.0, 60.0), (16.0, 80.0), (15.0, 100.0))
+    gate = places((30.0, 70.0), (30.0, 95.0))
+    berth = places((12.0, 70.0), (24.0, 70.0), (24.0, 90.0), (12.0, 90.0), (12.0, 70.0))
+    pool = places((28.0, 75.0), (40.0, 75.0), (34.0, 85.0), (28.0, 75.0))
+    for name, shapes in (
+        ("lines", {"pier": ("LineString", pier), "gate": ("LineString", gate)}),
+        ("zones", {"berth": ("Polygon", [berth]), "pool": ("MultiPolygon", [[pool]])}),
+    ):
+        features = [
+            {
+                "type": "Feature",
+                "properties": {"name": label},
+                "geometry": {"type": kind, "coordinates": coordinates},
+            }
+            for label, (kind, coordinates) in shapes.items()
+        ]
+        content = {"type": "FeatureCollection", "features": features}
+        (folder / f"{name}.geojson").write_text(json.dumps(content))
 
 
 def _live(folder: Path) -> None:
@@ -438,6 +473,15 @@ def _live(folder: Path) -> None:
         '[detector]\nname = "harbour"\nclasses = ["boat"]\n[store]\nfile = "live.db"\n'
         '[feeds]\nnmea = ["udp://127.0.0.1:10110"]\n'
     )
+    (folder / "played.toml").write_text(
+        'camera = "quay"\nmodel = "camera-gpr.safetensors"\narea = ["water.geojson"]\n'
+        '[source]\naddress = "played.mp4"\nas_live = true\nspeed = 4.0\n'
+        'start_utc = "2024-06-01T10:00:00Z"\nframe_clock = "clock.csv"\n'
+        '[detector]\nname = "motion"\n[targets]\ngone_s = 10.0\n'
+        '[store]\nfile = "kept.db"\nretention_days = 30.0\n[log]\nfile = "live.log"\n'
+    )
+    sea = np.full((SIZE_PX[1], SIZE_PX[0], 3), 120, dtype=np.uint8)
+    _video(folder / "played.mp4", "mp4", "libx264", [sea, sea])
     store = Store(folder / "live.db", camera="quay", plane=LocalPlane(54.3, 10.1))
     for k in range(40):
         target = TargetState(

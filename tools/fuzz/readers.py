@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import json
+import os
 import shutil
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
@@ -14,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzz.containers import BYTES, GEOPACKAGE, MP4, ONNX, PARQUET, PICTURE, SAFETENSORS, TS
+from fuzz.containers import BYTES, GEOPACKAGE, MP4, ONNX, PARQUET, PICTURE, SAFETENSORS, STORE, TS
 from fuzz.examples import FRAME_PX
 from fuzz.texts import AIS, SENTENCES, TABLE, TEXT, TOML, XML, Mutator
 from fuzz.trees import JSON, JSON_LINES
@@ -135,6 +137,16 @@ def _labels(path: Path, _: Path) -> None:
 def _area(path: Path, _: Path) -> None:
     area = formats.read_area(path)
     area.contains(np.linspace(-90.0, 90.0, 50), np.linspace(-180.0, 180.0, 50))
+
+
+def _lines(path: Path, _: Path) -> None:
+    for line in formats.read_lines(path).values():
+        assert np.isfinite(line.corners).all()
+
+
+def _zones(path: Path, _: Path) -> None:
+    for zone in formats.read_zones(path).values():
+        zone.contains(np.linspace(-90.0, 90.0, 50), np.linspace(-180.0, 180.0, 50))
 
 
 def _mask(path: Path, _: Path) -> None:
@@ -273,6 +285,39 @@ def _evaluate_log(path: Path, examples: Path) -> None:
     _run("evaluate", examples / "tracks.geojson", "--fixes", path)
 
 
+def _count(path: Path, examples: Path) -> None:
+    """One of what is counted spoilt, and the others whole: the names tell which."""
+    given = {name: examples / name for name in ("tracks.geojson", "lines.geojson", "zones.geojson")}
+    given[path.name] = path
+    tracks, lines, zones = given.values()
+    made = [path.with_name(f"counts.{ending}") for ending in ("csv", "json")]
+    where = ("--lines", lines, "--zones", zones, "--closest", 50, "--every", "1min")
+    _run("count", tracks, *where, "-o", made[0], "-o", made[1])
+    json.loads(made[1].read_text(encoding="utf-8"), parse_constant=_no_number)
+    with made[0].open(encoding="utf-8", newline="") as file:
+        widths = {len(row) for row in csv.reader(file)}
+    assert len(widths) == 1, f"rows of {widths} cells"
+
+
+def _export(path: Path, _: Path) -> None:
+    """What live kept, to all texts, each of which must be whole."""
+    made = {end: path.with_name(f"out.{end}") for end in ("mfjson", "geojson", "csv", "gpx", "kml")}
+    _run("export", path, *(text for file in made.values() for text in ("-o", file)))
+    for end in ("mfjson", "geojson"):
+        json.loads(made[end].read_text(encoding="utf-8"), parse_constant=_no_number)
+    for end in ("gpx", "kml"):
+        ElementTree.fromstring(made[end].read_bytes())  # noqa: S314 - written by the project itself
+
+
+def _live(path: Path, examples: Path) -> None:
+    """All that live opens before it watches, of a recording that it plays."""
+    for name in ("played.mp4", "camera-gpr.safetensors", "water.geojson", "clock.csv"):
+        shutil.copy(examples / name, path.parent)
+    # Names in the file are told from where the command is given.
+    os.chdir(path.parent)
+    _run("live", "--config", path.name, "--check")
+
+
 def _detect(path: Path, _: Path) -> None:
     _run("detect", path, "--detector", "motion", "-o", path.with_name("found.csv"))
 
@@ -304,7 +349,7 @@ READERS: tuple[Reader, ...] = (
     Reader("log: AIS", _feed, ("feed.nmea", "one.nmea"), AIS, 4),
     Reader("AIS receiver", _receiver, ("feed.nmea", "one.nmea"), AIS),
     Reader("live: configuration", _live_config, ("live.toml",), TOML),
-    Reader("live: store", _store, ("live.db",), GEOPACKAGE),
+    Reader("live: store", _store, ("live.db",), STORE),
     Reader("log: CSV", _fixes, ("log.csv",), TABLE, 3),
     Reader("log: CSV of AIS", _feed, ("ais.csv", "danish.csv"), TABLE, 3),
     Reader("log: JSON lines", _fixes, ("gpsd.json", "signalk.json"), JSON_LINES, 3),
@@ -330,6 +375,8 @@ READERS: tuple[Reader, ...] = (
     Reader("labels: COCO", _coco, ("coco.json",), JSON),
     Reader("labels: names of classes", _class_names, ("data.yaml", "classes.txt"), TEXT, 1),
     Reader("area", _area, ("water.geojson",), JSON, 3),
+    Reader("lines", _lines, ("lines.geojson",), JSON, 2),
+    Reader("zones", _zones, ("zones.geojson",), JSON, 2),
     Reader("mask", _mask, ("mask.png",), PICTURE),
     Reader("scene", _scene, ("still/scene.toml", "aboard/scene.toml", "points.toml"), TOML, 5),
     Reader("model", _model, _MODELS, SAFETENSORS, 4),
@@ -343,6 +390,9 @@ READERS: tuple[Reader, ...] = (
     Reader("command: track, MOT", _track, ("boxes.txt",), TABLE, 1),
     Reader("command: evaluate, tracks", _evaluate_tracks, ("tracks.geojson",), JSON, 3),
     Reader("command: evaluate, log", _evaluate_log, ("still/target.gpx", "log.csv"), TEXT, 2),
+    Reader("command: count", _count, ("lines.geojson", "zones.geojson", "tracks.geojson"), JSON),
+    Reader("command: export", _export, ("live.db",), STORE),
+    Reader("command: live", _live, ("played.toml",), TOML),
     Reader("command: detect", _detect, _VIDEOS[:3], BYTES, 2),
     Reader("command: check, texts", _check, _OF_ALL_KINDS, TABLE, 3),
     Reader("command: check, videos", _check, _VIDEOS, BYTES, 1),
