@@ -166,9 +166,11 @@ def test_ths(tmp_path: Path, mode: str) -> None:
         (sentence("HETHS,999.9,A"), "THS with a heading that cannot be read"),
         (ths(12.0)[:-2] + "00", "sentences with a heading with a wrong checksum"),
         (ths(12.0)[:-3], "sentences with a heading without a checksum"),
-        (sentence("HCHDM,80.0,M"), "magnetic headings (HDG, HDM)"),
-        (sentence("HCHDG,80.0,,,4.0,E"), "magnetic headings (HDG, HDM)"),
-        (sentence("HEHDT,80.0,M"), "magnetic headings (HDG, HDM)"),
+        (sentence("HCHDM,80.0,M"), "magnetic headings (HDM, and"),
+        (sentence("HCHDG,80.0,,,,"), "magnetic headings (HDM, and"),
+        (sentence("HCHDG,80.0,1.0,E,,"), "magnetic headings (HDM, and"),
+        (sentence("HCHDG,80.0,1.0,,4.0,E"), "magnetic headings (HDM, and"),
+        (sentence("HEHDT,80.0,M"), "magnetic headings (HDM, and"),
         (hdt(200.0), "headings of HEHDT, which HETHS gives as well"),
     ],
 )
@@ -188,7 +190,12 @@ def test_headings_that_are_none(tmp_path: Path, bad: str, reason: str) -> None:
 
 @pytest.mark.parametrize(
     ("deviation", "variation", "off_deg"),
-    [("1.5,E", "4.0,E", 5.5), ("1.5,W", "4.0,E", 2.5), ("0.0,E", "3.0,W", -3.0)],
+    [
+        ("1.5,E", "4.0,E", 5.5),
+        ("1.5,W", "4.0,E", 2.5),
+        ("0.0,E", "3.0,W", -3.0),
+        (",", "4.0,E", 4.0),
+    ],
 )
 def test_a_magnetic_heading_that_is_given_whole(
     tmp_path: Path, deviation: str, variation: str, off_deg: float
@@ -198,11 +205,12 @@ def test_a_magnetic_heading_that_is_given_whole(
     for second in SECONDS:
         magnetic = (bow_deg(second) - off_deg) % 360.0
         lines += [rmc(second), sentence(f"HCHDG,{magnetic:.2f},{deviation},{variation}")]
-    found, _ = read(tmp_path / "log.nmea", lines)
+    found, tally = read(tmp_path / "log.nmea", lines)
     np.testing.assert_allclose(errors_s(found), 0.0, atol=0.01)
+    assert any("deviation" in note for note in tally.notes) == (deviation == ",")
 
 
-@pytest.mark.parametrize("bad", [ths(0.0, "V"), sentence("HCHDG,80.0,,,4.0,E")])
+@pytest.mark.parametrize("bad", [ths(0.0, "V"), sentence("HCHDG,80.0,,,,")])
 def test_a_log_without_a_heading_that_can_be_used_says_so(
     tmp_path: Path, bad: str, caplog: pytest.LogCaptureFixture
 ) -> None:

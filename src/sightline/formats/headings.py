@@ -25,7 +25,8 @@ _logger = logging.getLogger(__name__)
 _KINDS = ("HDT", "THS", "HDG", "HDM")
 _TRUE = ("HDT", "THS")
 _NUMBER = re.compile(r"-?\d{1,3}(?:\.\d*)?")
-_NO_DEVIATION = "magnetic headings (HDG, HDM), whose deviation and variation are not both given"
+_MAGNETIC = "magnetic headings (HDM, and HDG without variation)"
+_NO_DEVIATION = "the deviation of the compass is not given (HDG); it is taken for none"
 # A log that pauses has too few headings for its time.
 _PAUSE = 1.5
 _ALMOST_ALL = 0.9
@@ -38,22 +39,23 @@ class _Heading:
     address: str
     heading_deg: float
     received_s: float
+    deviation_untold: bool = False
 
 
 def read_headings(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Headings | None:
     """The headings that a log holds beside its places; None where it holds none.
 
     A table has them in a column ``heading_deg`` (or ``true_heading``); empty cells are left out. In
-    NMEA 0183 they
-    are HDT and THS (of mode A or E), and HDG with both deviation and variation, where there are
+    NMEA 0183 they are HDT and THS (of mode A or E), and HDG with its variation, where there are
     none of these. They have no time. Where the logger wrote when it received each sentence, that
     tells it; otherwise those between two fixes share the time between them: a log that begins with
     a heading has it before its fix, and any other has the fix first. The times are of the sentences
     that the fixes come from; a ZDA of another clock is passed over. Of several sensors the one with
     most headings is used.
 
-    Left out and counted are magnetic headings of which not all is given, THS of other modes, and
-    what is damaged or no number.
+    Left out and counted are magnetic headings without a variation, THS of other modes, and what is
+    damaged or no number. A compass that corrects its deviation itself leaves that field empty, as
+    one does that knows of none: it is taken for none, and that is noted.
 
     Args:
         path: A log that `sightline.formats.read_fixes` reads.
@@ -117,8 +119,11 @@ def _in_sentences(path: str | os.PathLike[str], tally: Tally) -> Headings | None
             tally.leave_out(reason, row=sentence.row, text=sentence.text)
         else:
             at_s = float("nan") if received_s is None else received_s
-            seen.append(_Heading(sentence.order, sentence.address, value, at_s))
+            untold = _without_deviation(sentence)
+            seen.append(_Heading(sentence.order, sentence.address, value, at_s, untold))
     seen = _of_one_sensor(seen, tally)
+    if any(heading.deviation_untold for heading in seen):
+        tally.note(_NO_DEVIATION)
     found = None
     if seen:
         order = np.array([heading.order for heading in seen], dtype=np.int64)
@@ -143,15 +148,20 @@ def _true_deg(sentence: Sentence) -> tuple[float | None, str]:
     if not _NUMBER.fullmatch(fields[0]) or not -360.0 <= float(fields[0]) <= 720.0:
         return None, f"{kind} with a heading that cannot be read"
     if kind == "HDM" or (kind == "HDT" and fields[1] == "M"):
-        return None, _NO_DEVIATION
+        return None, _MAGNETIC
     heading = float(fields[0])
     if kind != "HDG":
         return heading % 360.0, ""
-    for amount, side in ((fields[1], fields[2]), (fields[3], fields[4])):
+    deviation, variation = (fields[1], fields[2]), (fields[3], fields[4])
+    for amount, side in (variation,) if _without_deviation(sentence) else (deviation, variation):
         if not _NUMBER.fullmatch(amount) or side not in ("E", "W"):
-            return None, _NO_DEVIATION
+            return None, _MAGNETIC
         heading += float(amount) if side == "E" else -float(amount)
     return heading % 360.0, ""
+
+
+def _without_deviation(sentence: Sentence) -> bool:
+    return sentence.kind == "HDG" and not any(text.strip() for text in sentence.fields[1:3])
 
 
 def _of_one_sensor(seen: list[_Heading], tally: Tally) -> list[_Heading]:
