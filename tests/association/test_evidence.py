@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sightline.association import Association, associate
+from sightline.association.evidence import clock_belief
 from sightline.association.observations import TrackObservations, observe
 from sightline.association.search import RecordingObservations
 from sightline.camera.pinhole import Camera
@@ -137,14 +139,46 @@ def test_the_choice_among_vessels_is_paid() -> None:
     assert alone.evidence - chosen.evidence == pytest.approx(np.log(4.0), abs=0.05)
 
 
+def halves(recordings: int, late_s: float) -> list[RecordingObservations]:
+    cuts = np.linspace(0.0, DURATION_S, recordings + 1)
+    return [
+        RecordingObservations(f"{i}", seen(first_s, last_s), (log("one", late_s=late_s),))
+        for i, (first_s, last_s) in enumerate(pairwise(cuts.tolist()))
+    ]
+
+
 @pytest.mark.parametrize("recordings", [1, 2])
 def test_a_clock_that_may_be_anywhere_is_paid(recordings: int) -> None:
     """Twice the time in which it may lie is log 2, once, since one camera has one clock."""
-    cuts = np.linspace(0.0, DURATION_S, recordings + 1)
-    watches = [
-        RecordingObservations(f"{i}", seen(first_s, last_s), (log("one"),))
-        for i, (first_s, last_s) in enumerate(pairwise(cuts.tolist()))
-    ]
+    watches = halves(recordings, -18.0)
     narrow, wide = (associate(watches, SIZE, largest_offset_s=s) for s in (20.0, 40.0))
     assert len(narrow.found) == len(wide.found) == recordings
-    assert narrow.evidence - wide.evidence == pytest.approx(np.log(2.0), abs=0.1)
+    assert narrow.evidence - wide.evidence == pytest.approx(np.log(2.0), abs=0.15)
+
+
+def test_a_clock_that_is_right_was_believed_to_be() -> None:
+    """Half of all clocks are right, however far others may be off: room for them costs nothing."""
+    watches = halves(1, 0.0)
+    narrow, wide = (associate(watches, SIZE, largest_offset_s=s) for s in (20.0, 40.0))
+    assert narrow.evidence - wide.evidence == pytest.approx(0.0, abs=0.1)
+    off = associate(halves(1, -18.0), SIZE, largest_offset_s=40.0)
+    # Densities at 0 and 18 s of a Cauchy and a uniform distribution, half each.
+    scale_s = 0.5 * np.sqrt(2.0)
+    density = [
+        0.5 / (np.pi * scale_s * (1.0 + (offset_s / scale_s) ** 2)) + 0.5 / 80.0
+        for offset_s in (0.0, 18.0)
+    ]
+    expected = np.log(density[0] / density[1])
+    assert wide.evidence - off.evidence == pytest.approx(expected, abs=0.6)
+
+
+def test_a_belief_in_clocks_integrates_to_one() -> None:
+    """`cost` has a normal distribution as wide as the room; the belief is what differs from it."""
+    largest_s = 40.0
+    offset_s = np.linspace(-largest_s, largest_s, 16001)
+    density = np.exp(
+        [clock_belief(SimpleNamespace(offset_s=np.array([one])), largest_s) for one in offset_s]
+    ) / (np.sqrt(2.0 * np.pi) * largest_s / np.sqrt(3.0))
+    whole = np.trapezoid(density, offset_s)
+    beyond = 1.0 / np.pi * np.arctan(0.5 * np.sqrt(2.0) / largest_s)
+    assert whole == pytest.approx(1.0 - beyond, abs=1e-4)

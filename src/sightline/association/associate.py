@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.association.evidence import Match, cost, goes_along, matches
+from sightline.association.evidence import Match, clock_belief, cost, goes_along, matches
 from sightline.association.refine import Explanation, Refiner
 from sightline.association.search import Candidate, RecordingObservations, candidates
 from sightline.camera.parameters import HEADING
@@ -138,11 +138,13 @@ def associate(
             judged.append(rival)
             judged.sort(key=lambda one: -one.evidence)
     best = judged[0]
-    if not best.matches or best.evidence < LEAST_EVIDENCE:
+    belief = clock_belief(best.explanation, largest_offset_s)
+    evidence = best.evidence + belief
+    if not best.matches or evidence < LEAST_EVIDENCE:
         how = "nothing that is seen moves as a log says"
         if best.matches:
-            more = "likelier" if best.evidence > 0.0 else "less likely"
-            how = f"the best explanation is {abs(best.evidence):.0f} nats {more} than none"
+            more = "likelier" if evidence > 0.0 else "less likely"
+            how = f"the best explanation is {abs(evidence):.0f} nats {more} than none"
         raise FitError(
             f"no logged vessel can be told from what else is seen: {how}; check the clock and that "
             "the log is of something in view, give more recordings, or draw boxes"
@@ -155,7 +157,8 @@ def associate(
             f"{_offset(best):.0f} s or {_offset(second or best):.0f} s apart; give more "
             "recordings, a log of more turns, or draw boxes"
         )
-    return _summary(watches, image_size_px, best, float(runner_up))
+    best = replace(best, evidence=evidence)
+    return _summary(watches, image_size_px, best, float(runner_up + belief))
 
 
 def _judge(

@@ -22,6 +22,7 @@ from sightline.association.observations import TrackObservations
 from sightline.association.refine import CLOCKS_ALIKE_S, Explanation
 from sightline.association.search import ROUGH_CAMERA, RecordingObservations, clutter_per_px2
 from sightline.camera.parameters import HEADING
+from sightline.clock_offset import USUAL_SIGMA_S
 from sightline.types import FloatArray, IntArray
 
 SURE = 0.5
@@ -170,3 +171,19 @@ def cost(found: Explanation, largest_offset_s: float, image_size_px: tuple[int, 
     narrowed = found.covariance / np.outer(sigma, sigma)
     _, log_determinant = np.linalg.slogdet(narrowed)
     return float(0.5 * np.sum(off**2) - 0.5 * min(log_determinant, 0.0) + np.log(anywhere / alike))
+
+
+def clock_belief(found: Explanation, largest_offset_s: float) -> float:
+    """What is believed of clocks adds to the evidence of an explanation, in nats.
+
+    `cost` takes a clock for off by anything up to the largest offset. Half of all clocks are taken
+    for right here, as `ClockPrior` has them, and half for off by anything. Between explanations by
+    several clocks the data decides alone: a log that repeats itself says nothing of the clock.
+    """
+    largest_s = max(largest_offset_s, 1e-3)
+    offset_s = float(np.mean(found.offset_s))
+    scale_s = np.sqrt(2.0) * USUAL_SIGMA_S
+    right = 1.0 / (np.pi * scale_s * (1.0 + (offset_s / scale_s) ** 2))
+    density = 0.5 * right + 0.5 / (2.0 * largest_s)
+    anywhere_s = 2.0 * largest_s / np.sqrt(12.0)
+    return float(np.log(np.sqrt(2.0 * np.pi) * anywhere_s * density))
