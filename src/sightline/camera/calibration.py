@@ -83,7 +83,8 @@ class CameraFit:
             the same data under other priors are compared; NaN where it is not known.
         left_out_m: Root mean square error of the places of targets that were left out, metres; 0
             where there was but one.
-        targets: How many independent targets the noise was estimated from; 0 where it was not.
+        freedom: How many independent values of what lasts in boxes and log the noise was estimated
+            from; 0 where it was not.
     """
 
     vector: FloatArray
@@ -102,7 +103,7 @@ class CameraFit:
     sizes: TargetSizes | None = None
     negative_log_evidence: float = float("nan")
     left_out_m: float = 0.0
-    targets: int = 0
+    freedom: float = 0.0
 
     @property
     def layout(self) -> ParameterLayout:
@@ -246,7 +247,7 @@ def fit_camera(
             ends.append(end.vector)
     fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
     if noise is None:
-        fit = replace(fit, targets=problem.targets)
+        fit = replace(fit, freedom=problem.freedom(fit.noise))
     return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 

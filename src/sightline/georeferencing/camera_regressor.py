@@ -67,10 +67,7 @@ LEAST_FREEDOM = 6.0
 of the noise tell more than these do, and they are wide."""
 
 # Prior of what earlier models took as known.
-_EXACT = 1e-9
-# Negative logarithm of the share outside of an ellipse of 95 %.
-_OUTSIDE = -math.log(0.05)
-# The prior weighs as much as so many known sources.
+_EXACT = 1e-9  # The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
 _INPUTS = len(_LENGTH_SCALES)
@@ -310,7 +307,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if name in self.sources_:
             own = fit.layout.source(self.sources_.index(name))
             chosen = np.r_[CAMERA_AND_TARGET, own]
-            return fit.vector[own], fit.covariance[np.ix_(chosen, chosen)]
+            return fit.vector[own], self._covariance[np.ix_(chosen, chosen)]
         count = len(self.sources_)
         mean = np.array([prior.unseen_px, prior.unseen_m])
         expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
@@ -320,7 +317,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
         alone, both = ParameterLayout(n_sources=1, n_clocks=0), CAMERA_AND_TARGET
         covariance = np.zeros((alone.size, alone.size))
-        covariance[both, both] = fit.covariance[both, both]
+        covariance[both, both] = self._covariance[both, both]
         covariance[alone.sources, alone.sources] = np.diag(spread / (_UNSEEN_WEIGHT + count))
         return mean, covariance
 
@@ -340,7 +337,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # may have as well, as far as anyone can tell.
         constant = max(noise.offset_m**2 - noise.correlated_m**2, 0.0)
         self.lasting_m2 = noise.lasting_m**2 + constant
-        self.few = student_share(self.fit_.targets)
+        self.few = student_share(self.fit_.freedom)
+        self._covariance = widened(self.fit_, self.few)
         self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
@@ -396,7 +394,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         moved = np.einsum("kin,kin->in", shift, shift)
         skewed = _ranges_variance(moved[0], at.distance_m) - moved[0]
         likely = moved[0].copy()
-        moved *= self.few
         if self.above_sigma_m > 0.0:
             of_level = np.square(self.above_sigma_m * by[BY_ABOVE, 0])
             moved[0] += of_level
@@ -424,7 +421,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             moved=moved,
             skewed=skewed,
             likely=likely,
-            moved_mixed=self.few * np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
+            moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
             noise=noise + lasting,
             noise_mixed=of_column * by_column[0] * by_column[1]
             + of_row * by_row[0] * by_row[1]
@@ -632,7 +629,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "starts": fit.starts,
             "typical_range_m": fit.typical_range_m,
             "typical_speed_mps": self.typical_speed_mps_,
-            "targets": fit.targets,
+            "freedom": fit.freedom,
             "sizes": None
             if fit.sizes is None
             else {
@@ -714,7 +711,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             starts=int(settings["starts"]),
             typical_range_m=float(settings["typical_range_m"]),
             sizes=sizes,
-            targets=int(settings.get("targets", 0)),
+            freedom=float(settings.get("freedom", 0.0)),
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
             raise ValueError("a parameter of the camera is not a number")
@@ -733,23 +730,36 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         return model
 
 
-def student_share(targets: int) -> float:
-    """By how much ellipses are wider, in variance, than if all noise were known.
+def widened(fit: CameraFit, share: float) -> FloatArray:
+    """Covariance of all parameters where the scatter of what lasts was estimated from a few values.
 
-    What a target has for as long as it is watched shows once a target, so that a handful tells its
-    scatter badly, and with it how far the camera may be off. With an estimated scatter, errors have
-    Student's distribution: the share is that of the 95 % quantiles of its square in the plane,
-    F(2, ν), and of a normal one's. Priors are worth the one degree of freedom that a mean costs:
-    one value tells a standard deviation to a factor of two, as they do. The boxes' own noise shows
-    in every box, and counts as known.
+    Of the covariance C a part C P C is by the priors, whose precision P is known. The rest is by
+    the noise of data, and wider by the share.
 
     Args:
-        targets: How many the noise was estimated from; 0: it is known.
+        fit: The fit.
+        share: Of the variances, see `student_share`.
     """
-    if not targets:
+    by_priors = fit.covariance @ (fit.prior_sigma[:, None] ** -2.0 * fit.covariance)
+    return fit.covariance + (share - 1.0) * (fit.covariance - by_priors)
+
+
+def student_share(freedom: float) -> float:
+    """By how much variances are larger than if all noise were known.
+
+    What a target has for as long as it is watched shows once a target, or once each time that it
+    has been forgotten, so that a handful tells its scatter badly, and with it how far the camera
+    may be off. With a scatter that was estimated with ν degrees of freedom, errors have Student's
+    distribution, whose variance is ν / (ν - 2) times as large. The boxes' own noise shows in every
+    box, and counts as known.
+
+    Args:
+        freedom: Of the scatter, see `MixedModel.freedom`; 0: it is known.
+    """
+    if not freedom:
         return 1.0
-    freedom = max(float(targets), LEAST_FREEDOM)
-    return float(0.5 * freedom * np.expm1(2.0 * _OUTSIDE / freedom) / _OUTSIDE)
+    freedom = max(freedom, LEAST_FREEDOM)
+    return freedom / (freedom - 2.0)
 
 
 def _ranges_variance(along_m2: FloatArray, distance_m: FloatArray) -> FloatArray:

@@ -87,10 +87,8 @@ def place_one(
     shift[:, 0] += of_target @ (length, beam)
     (along, mixed), (_, across) = (shift.T @ shift).tolist()
     skewed = ranges_variance(along, distance) - along
-    few = model.few
-    of_level = (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
-    likely = along + of_level
-    along, across, mixed = few * along + of_level, few * across, few * mixed
+    along += (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
+    likely, few = along, model.few
     slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
     (row_along, row_across), (column_along, column_across) = by[[BY_ROW, BY_COLUMN]].tolist()
