@@ -740,7 +740,10 @@ def widened(fit: CameraFit, share: float) -> FloatArray:
         fit: The fit.
         share: Of the variances, see `student_share`.
     """
-    by_priors = fit.covariance @ (fit.prior_sigma[:, None] ** -2.0 * fit.covariance)
+    varies = np.diag(fit.covariance) > 0.0
+    precision = np.zeros(varies.size)
+    precision[varies] = fit.prior_sigma[varies] ** -2.0
+    by_priors = fit.covariance @ (precision[:, None] * fit.covariance)
     return fit.covariance + (share - 1.0) * (fit.covariance - by_priors)
 
 
