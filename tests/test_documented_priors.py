@@ -12,7 +12,7 @@ from sightline.camera import mixed_model, stated, target_sizes
 from sightline.camera.priors import NOISE_PRIORS, CameraPrior
 from sightline.camera.stated_place import WRONG_PLACE_SHARE, WRONG_PLACE_SIGMA_M
 from sightline.clock_offset import STATED_SIGMA_S, USUAL_SIGMA_S
-from sightline.georeferencing.camera_regressor import LEAST_FREEDOM, UNSEEN_BIAS_PX
+from sightline.georeferencing.camera_regressor import UNSEEN_BIAS_PX
 
 PAGE = Path(__file__).parents[1] / "docs" / "camera-model.md"
 ROWS = re.findall(r"^\| (`.+`) \| (.+?) \| (.+?) \| .+ \|$", PAGE.read_text("utf-8"), re.MULTILINE)
@@ -21,7 +21,6 @@ ROWS = re.findall(r"^\| (`.+`) \| (.+?) \| (.+?) \| .+ \|$", PAGE.read_text("utf
 def numbers_of_the_code() -> dict[str, tuple[float, ...]]:
     out: dict[str, tuple[float, ...]] = {
         "UNSEEN_BIAS_PX": (UNSEEN_BIAS_PX,),
-        "LEAST_FREEDOM": (LEAST_FREEDOM,),
         "USUAL_SIGMA_S": (USUAL_SIGMA_S,),
         "STATED_SIGMA_S": (STATED_SIGMA_S,),
         "WRONG_PLACE_SIGMA_M": (WRONG_PLACE_SIGMA_M,),

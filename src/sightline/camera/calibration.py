@@ -83,8 +83,6 @@ class CameraFit:
             the same data under other priors are compared; NaN where it is not known.
         left_out_m: Root mean square error of the places of targets that were left out, metres; 0
             where there was but one.
-        freedom: How many independent values of what lasts in boxes and log the noise was estimated
-            from; 0 where it was not.
     """
 
     vector: FloatArray
@@ -103,7 +101,6 @@ class CameraFit:
     sizes: TargetSizes | None = None
     negative_log_evidence: float = float("nan")
     left_out_m: float = 0.0
-    freedom: float = 0.0
 
     @property
     def layout(self) -> ParameterLayout:
@@ -246,8 +243,6 @@ def fit_camera(
         if end is not None:
             ends.append(end.vector)
     fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
-    if noise is None:
-        fit = replace(fit, freedom=problem.freedom(fit.noise))
     return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 

@@ -177,18 +177,6 @@ class MixedModel:
         if not position_known:
             self.scale[POSITION] = self.spread
 
-    def freedom(self, noise: PixelNoise) -> float:
-        """How many independent values of what lasts there are: degrees of freedom of its scatter.
-
-        Of a target one, and more where it was watched for longer than what lasts does: squares of
-        what is forgotten by exp(-t / τ) are alike by exp(-2 t / τ), so that over a time T their
-        mean is worth x² / (x - (1 - exp(-2 x)) / 2) values, where x is T / τ.
-        """
-        logs, times_s = self.sightings.log[self.boxes], self.sightings.time_s[self.boxes]
-        watched_s = [float(np.ptp(times_s[logs == log])) for log in np.unique(logs)]
-        x = np.maximum(np.array(watched_s) / noise.correlation_time_s, 1e-3)
-        return float((x**2 / (x + 0.5 * np.expm1(-2.0 * x))).sum())
-
     def expect_clocks(self, clocks: Mapping[int, tuple[float, float]]) -> None:
         """Set the prior of the clock offsets of some recordings."""
         for slot, group in enumerate(self.clock_groups.tolist(), self.layout.clocks.start):

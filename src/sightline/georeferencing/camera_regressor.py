@@ -62,12 +62,9 @@ UNSEEN_BIAS_PX = 5.0
 """Standard deviation of the lower-edge bias of an unseen source: detectors that were trained on
 other boats end their boxes 6 to 8 px too high, people who draw boxes differ by as much."""
 
-LEAST_FREEDOM = 6.0
-"""Degrees of freedom that an estimated scatter has at least: of fewer targets than that the priors
-of the noise tell more than these do, and they are wide."""
-
 # Prior of what earlier models took as known.
-_EXACT = 1e-9  # The prior weighs as much as so many known sources.
+_EXACT = 1e-9
+# The prior weighs as much as so many known sources.
 _UNSEEN_WEIGHT = 2.0
 _LENGTH_SCALES = (2.0, 1.0, 0.4, 0.7)
 _INPUTS = len(_LENGTH_SCALES)
@@ -307,7 +304,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         if name in self.sources_:
             own = fit.layout.source(self.sources_.index(name))
             chosen = np.r_[CAMERA_AND_TARGET, own]
-            return fit.vector[own], self._covariance[np.ix_(chosen, chosen)]
+            return fit.vector[own], fit.covariance[np.ix_(chosen, chosen)]
         count = len(self.sources_)
         mean = np.array([prior.unseen_px, prior.unseen_m])
         expected = np.array([max(UNSEEN_BIAS_PX, prior.bias_px_sigma), prior.bias_m_sigma])
@@ -317,7 +314,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         spread = _UNSEEN_WEIGHT * expected**2 + squares.sum(axis=0)
         alone, both = ParameterLayout(n_sources=1, n_clocks=0), CAMERA_AND_TARGET
         covariance = np.zeros((alone.size, alone.size))
-        covariance[both, both] = self._covariance[both, both]
+        covariance[both, both] = fit.covariance[both, both]
         covariance[alone.sources, alone.sources] = np.diag(spread / (_UNSEEN_WEIGHT + count))
         return mean, covariance
 
@@ -337,8 +334,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         # may have as well, as far as anyone can tell.
         constant = max(noise.offset_m**2 - noise.correlated_m**2, 0.0)
         self.lasting_m2 = noise.lasting_m**2 + constant
-        self.few = student_share(self.fit_.freedom)
-        self._covariance = widened(self.fit_, self.few)
         self._biases: dict[str, tuple[float, float, FloatArray, FloatArray]] = {}
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
@@ -393,11 +388,8 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         shift[:, 0] += of_target @ hull.shares
         moved = np.einsum("kin,kin->in", shift, shift)
         skewed = _ranges_variance(moved[0], at.distance_m) - moved[0]
-        likely = moved[0].copy()
         if self.above_sigma_m > 0.0:
-            of_level = np.square(self.above_sigma_m * by[BY_ABOVE, 0])
-            moved[0] += of_level
-            likely += of_level
+            moved[0] += np.square(self.above_sigma_m * by[BY_ABOVE, 0])
         slant = at.distance_m * at.distance_m + (camera.height_m - above_m) ** 2
         by_column, by_row = by[BY_COLUMN], by[BY_ROW]
         box = self.fit_.noise if heave else replace(self.fit_.noise, heave_m=0.0)
@@ -410,17 +402,13 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         lasting += self.lasting_m2
         lasting += self.aboard_m2 * hull.squares
         lasting[0] += hull.variance_m2
-        likely += noise[0] + lasting[0]
-        lasting *= self.few
         lasting_mixed = last_column * by_column[0] * by_column[1] + last_row * by_row[0] * by_row[1]
-        lasting_mixed *= self.few
         return _Seen(
             at.distance_m,
             at.sine,
             at.cosine,
             moved=moved,
             skewed=skewed,
-            likely=likely,
             moved_mixed=np.einsum("kn,kn->n", shift[:, 0], shift[:, 1]),
             noise=noise + lasting,
             noise_mixed=of_column * by_column[0] * by_column[1]
@@ -470,7 +458,7 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             seen = self._see(boxes, source, above_m)
             reach = np.maximum(seen.distance, self.fit_.typical_range_m)
             limit = (LARGEST_RELATIVE_SIGMA * reach) ** 2
-            known = seen.likely < limit
+            known = seen.moved[0] + seen.noise[0] < limit
         distance, sine, cosine = seen.distance, seen.sine, seen.cosine
         along, across = seen.moved + self.clock_variance
         along += seen.skewed
@@ -629,7 +617,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             "starts": fit.starts,
             "typical_range_m": fit.typical_range_m,
             "typical_speed_mps": self.typical_speed_mps_,
-            "freedom": fit.freedom,
             "sizes": None
             if fit.sizes is None
             else {
@@ -711,7 +698,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
             starts=int(settings["starts"]),
             typical_range_m=float(settings["typical_range_m"]),
             sizes=sizes,
-            freedom=float(settings.get("freedom", 0.0)),
         )
         if not (np.isfinite(vector).all() and np.isfinite(model.fit_.covariance).all()):
             raise ValueError("a parameter of the camera is not a number")
@@ -728,41 +714,6 @@ class CameraRegressor(RegressorMixin, BaseEstimator):  # type: ignore[misc]
         ]
         model.range_process_, model.bearing_process_ = processes
         return model
-
-
-def widened(fit: CameraFit, share: float) -> FloatArray:
-    """Covariance of all parameters where the scatter of what lasts was estimated from a few values.
-
-    Of the covariance C a part C P C is by the priors, whose precision P is known. The rest is by
-    the noise of data, and wider by the share.
-
-    Args:
-        fit: The fit.
-        share: Of the variances, see `student_share`.
-    """
-    varies = np.diag(fit.covariance) > 0.0
-    precision = np.zeros(varies.size)
-    precision[varies] = fit.prior_sigma[varies] ** -2.0
-    by_priors = fit.covariance @ (precision[:, None] * fit.covariance)
-    return fit.covariance + (share - 1.0) * (fit.covariance - by_priors)
-
-
-def student_share(freedom: float) -> float:
-    """By how much variances are larger than if all noise were known.
-
-    What a target has for as long as it is watched shows once a target, or once each time that it
-    has been forgotten, so that a handful tells its scatter badly, and with it how far the camera
-    may be off. With a scatter that was estimated with ν degrees of freedom, errors have Student's
-    distribution, whose variance is ν / (ν - 2) times as large. The boxes' own noise shows in every
-    box, and counts as known.
-
-    Args:
-        freedom: Of the scatter, see `MixedModel.freedom`; 0: it is known.
-    """
-    if not freedom:
-        return 1.0
-    freedom = max(freedom, LEAST_FREEDOM)
-    return freedom / (freedom - 2.0)
 
 
 def _ranges_variance(along_m2: FloatArray, distance_m: FloatArray) -> FloatArray:
@@ -842,7 +793,6 @@ class _Seen:
         cosine: (N,) of the bearing.
         moved: (2, N) variance along and across the line of sight that the parameters make.
         skewed: (N,) by how much a range that is multiplied by its error varies more than that.
-        likely: (N,) variance along, as if all noise were known.
         moved_mixed: (N,) the covariance of the two.
         noise: (2, N) variance along and across that the box's noise makes.
         noise_mixed: (N,) the covariance of the two.
@@ -857,7 +807,6 @@ class _Seen:
     cosine: FloatArray
     moved: FloatArray
     skewed: FloatArray
-    likely: FloatArray
     moved_mixed: FloatArray
     noise: FloatArray
     noise_mixed: FloatArray

@@ -34,7 +34,6 @@ class FittedCamera(Protocol):
     aboard_m2: float
     lasting_m2: float
     clock_variance: float
-    few: float
 
     def bias_root(self, source: str) -> tuple[float, float, FloatArray, FloatArray]:
         """Bias of a source, pixels and metres, and a root of the covariance of all parameters."""
@@ -88,7 +87,6 @@ def place_one(
     (along, mixed), (_, across) = (shift.T @ shift).tolist()
     skewed = ranges_variance(along, distance) - along
     along += (model.above_sigma_m * float(by[BY_ABOVE, 0])) ** 2
-    likely, few = along, model.few
     slant = np.array([camera.focal_px**2 / (distance * distance + height_m**2)])
     of_column, of_row = (float(one[0]) for one in model.fit_.noise.variances_px2(slant))
     (row_along, row_across), (column_along, column_across) = by[[BY_ROW, BY_COLUMN]].tolist()
@@ -102,12 +100,10 @@ def place_one(
     last_across += model.lasting_m2 + model.aboard_m2 * (beam**2 + spread[1])
     last_mixed = last_column * column_along * column_across + last_row * row_along * row_across
     own_along = of_column * column_along**2 + of_row * row_along**2 + noise.place_m**2
-    likely += own_along + last_along
-    last_along, last_across, last_mixed = few * last_along, few * last_across, few * last_mixed
     own_along += last_along
     own_across = of_column * column_across**2 + of_row * row_across**2 + noise.place_m**2
     own_across += last_across
-    if not likely < largest_sigma(distance) ** 2:
+    if not along + own_along < largest_sigma(distance) ** 2:
         return None
     along += skewed + model.clock_variance
     across += model.clock_variance
