@@ -70,6 +70,8 @@ class Live:
             text=True,
             env={**os.environ, **(environment or {})},
             start_new_session=new_session,
+            # Where these tests run under nohup, it would be ignored in what they start as well.
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),
         )
 
     def end(self, number: int = signal.SIGTERM) -> tuple[int, str, str]:
