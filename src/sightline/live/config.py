@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import quote, urlsplit
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
+from sightline.configuration import Table, checked, read_toml
 from sightline.errors import InputError
-from sightline.text import without_secrets
 
 CREDENTIALS = "SIGHTLINE_CREDENTIALS"
 """Environment variable with a camera's user and password, ``USER:PASSWORD``."""
 TOKEN = "SIGHTLINE_TOKEN"  # noqa: S105 - the name of the variable
 """Environment variable with the token of the page."""
 
-_LONGEST = 80
-
 Seconds = Annotated[float, Field(gt=0.0, le=86_400.0)]
-
-
-class Table(BaseModel):
-    """A table of keys and values in which no other key may stand."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class SourceTable(Table):
@@ -34,7 +25,7 @@ class SourceTable(Table):
 
     address: str | None = None
     credentials: str | None = None
-    options: dict[str, str] = {}
+    options: dict[str, str] = Field(default_factory=dict)
     clock: Literal["auto", "sender", "arrival"] = "auto"
     largest_clock_error_s: Seconds = 30.0
     open_s: Seconds = 10.0
@@ -88,11 +79,11 @@ class ServerTable(Table):
 class FeedsTable(Table):
     """`[feeds]`."""
 
-    nmea: list[str] = []
-    signalk: list[str] = []
-    cot: list[str] = []
-    mqtt: list[str] = []
-    webhook: list[str] = []
+    nmea: list[str] = Field(default_factory=list)
+    signalk: list[str] = Field(default_factory=list)
+    cot: list[str] = Field(default_factory=list)
+    mqtt: list[str] = Field(default_factory=list)
+    webhook: list[str] = Field(default_factory=list)
 
 
 class BoundariesTable(Table):
@@ -122,7 +113,7 @@ class LiveTable(Table):
     camera: str = "camera"
     model: str | None = None
     mask: str | None = None
-    area: list[str] = []
+    area: list[str] = Field(default_factory=list)
     water_level_m: float | None = None
     source: SourceTable = SourceTable()
     detector: DetectorTable = DetectorTable()
@@ -156,19 +147,10 @@ def read_live_config(path: Path) -> LiveTable:
         InputError: There is no such file, it is no TOML, or a key or a value cannot stand there.
     """
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = read_toml(path, "configuration")
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such configuration") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text in UTF-8, so it is no configuration") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no TOML: {_shortened(str(error))}") from error
-    try:
-        table = LiveTable.model_validate(content)
-    except ValidationError as error:
-        raise InputError(f"{path}: {_first_problem(error)}") from error
+    table = checked(path, content, LiveTable)
     return _resolved(table, path.parent)
 
 
@@ -186,24 +168,6 @@ def _resolved(table: LiveTable, folder: Path) -> LiveTable:
     if source is not None and "://" not in source:
         content["ais"]["source"] = str(folder / source)
     return LiveTable.model_validate(content)
-
-
-def _first_problem(error: ValidationError) -> str:
-    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
-    problem = problems[0]
-    where = ".".join(_shortened(str(step)) for step in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        model: type[BaseModel] = LiveTable
-        for step in problem["loc"][:-1]:
-            default = model.model_fields[str(step)].default
-            if isinstance(default, BaseModel):
-                model = type(default)
-        return f"unknown key {where}; known are {', '.join(model.model_fields)}"
-    message = problem["msg"][0].lower() + problem["msg"][1:]
-    given = problem["input"]
-    if isinstance(given, str | int | float | list):
-        message += f"; it is {_shortened(without_secrets(repr(given)))}"
-    return f"{where}: {message}"
 
 
 _CHANGEABLE = ("mask", "area", "detector.", "targets.", "feeds.", "boundaries.", "store.retention_")
@@ -226,10 +190,6 @@ def _flat(content: dict[str, object], before: str = "") -> dict[str, object]:
         else:
             flat[f"{before}{key}"] = value
     return flat
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def with_credentials(address: str, file: str | None) -> str:
