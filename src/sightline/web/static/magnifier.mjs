@@ -1,5 +1,7 @@
 // Pixels of the picture, eight times as large: one of them counts at the lower edge.
 
+import { sharpContext } from "/static/canvas.mjs";
+
 const TIMES = 8;
 
 /**
@@ -12,14 +14,7 @@ const TIMES = 8;
  * @param {{box?: number[] | null, point?: number[] | null}} marks What is drawn over it.
  */
 export function magnify(canvas, { bitmap, crop }, middle, { box = null, point = null } = {}) {
-  const ratio = window.devicePixelRatio || 1;
-  const [width, height] = [
-    Math.max(1, Math.round(canvas.clientWidth * ratio)),
-    Math.max(1, Math.round(canvas.clientHeight * ratio)),
-  ];
-  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-  const context = canvas.getContext("2d");
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  const context = sharpContext(canvas);
   const [w, h] = [canvas.clientWidth, canvas.clientHeight];
   context.fillStyle = "#000000";
   context.fillRect(0, 0, w, h);

@@ -1,5 +1,7 @@
 // The picture of a frame: boxes are drawn and mended on it, with a mouse, a pen or a finger.
 
+import { sharpContext } from "/static/canvas.mjs";
+
 const LARGEST_SCALE = 24;
 const SMALLEST_BOX_PX = 2;
 const REACH_CSS = { mouse: 8, pen: 12, touch: 22 };
@@ -313,14 +315,7 @@ export class Stage extends EventTarget {
 
   paint() {
     const { canvas } = this;
-    const ratio = window.devicePixelRatio || 1;
-    const [width, height] = [
-      Math.max(1, Math.round(canvas.clientWidth * ratio)),
-      Math.max(1, Math.round(canvas.clientHeight * ratio)),
-    ];
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    const context = canvas.getContext("2d");
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    const context = sharpContext(canvas);
     context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
     if (!this.bitmap) return;
     context.imageSmoothingEnabled = this.scale < 3;
