@@ -265,16 +265,7 @@ def calibration(series: Mapping[str, ScoredPairs]) -> Figure:
         axes.plot(stated, held, style, color=colour, lw=2.0, label=label)
         marks = np.array([0.5, 0.95])
         axes.plot(marks, covered(pairs, marks), "o", color=colour, ms=7, mec="white")
-    axes.text(0.97, 0.05, "overconfident", color=_FAINT, ha="right", fontsize=10)
-    axes.text(0.03, 0.95, "too cautious", color=_FAINT, ha="left", va="top", fontsize=10)
-    axes.set_xlim(0.0, 1.0)
-    axes.set_ylim(0.0, 1.0)
-    axes.set_aspect("equal")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
-    axes.set_xlabel("stated probability of the ellipse")
-    axes.set_ylabel("share of true positions inside")
-    tidy(axes)
+    _compare_shares(axes, "stated probability of the ellipse", "share of true positions inside")
     if axes.get_legend_handles_labels()[0]:
         _plain(axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(0.0, 0.9)))
     return figure
@@ -294,6 +285,12 @@ def reliability_figure(measured: Reliability) -> Figure:
     axes.plot(said, true, color=ESTIMATE_COLOUR, lw=1.5)
     share = measured.count[filled] / max(float(measured.count.sum()), 1.0)
     axes.scatter(said, true, s=20.0 + 400.0 * share, color=ESTIMATE_COLOUR, edgecolor="white")
+    _compare_shares(axes, "confidence of the box", "share of boxes that are right")
+    return figure
+
+
+def _compare_shares(axes: Axes, stated: str, reached: str) -> None:
+    """Set out axes of what was stated and of what came true, from none to all."""
     axes.text(0.97, 0.05, "overconfident", color=_FAINT, ha="right", fontsize=10)
     axes.text(0.03, 0.95, "too cautious", color=_FAINT, ha="left", va="top", fontsize=10)
     axes.set_xlim(0.0, 1.0)
@@ -301,10 +298,9 @@ def reliability_figure(measured: Reliability) -> Figure:
     axes.set_aspect("equal")
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
-    axes.set_xlabel("confidence of the box")
-    axes.set_ylabel("share of boxes that are right")
+    axes.set_xlabel(stated)
+    axes.set_ylabel(reached)
     tidy(axes)
-    return figure
 
 
 def error_over_time(recordings: Mapping[str, ScoredPairs], *, probability: float = 0.95) -> Figure:
