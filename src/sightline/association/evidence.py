@@ -162,7 +162,7 @@ def cost(found: Explanation, largest_offset_s: float, image_size_px: tuple[int, 
     mean, sigma = ROUGH_CAMERA.moments(image_size_px, 0, 0, position_known=True)
     camera = found.vector.size
     offsets = found.offset_s.size
-    anywhere = 2.0 * max(largest_offset_s, 1e-3) / np.sqrt(12.0)
+    anywhere = _anywhere_s(largest_offset_s)
     alike = anywhere if offsets == 1 else min(CLOCKS_ALIKE_S, anywhere)
     sigma = np.concatenate([sigma[:camera], np.full(offsets, alike)])
     sigma[HEADING] = 2.0 * np.pi / np.sqrt(12.0)
@@ -180,10 +180,13 @@ def clock_belief(found: Explanation, largest_offset_s: float) -> float:
     for right here, as `ClockPrior` has them, and half for off by anything. Between explanations by
     several clocks the data decides alone: a log that repeats itself says nothing of the clock.
     """
-    largest_s = max(largest_offset_s, 1e-3)
     offset_s = float(np.mean(found.offset_s))
     scale_s = np.sqrt(2.0) * USUAL_SIGMA_S
     right = 1.0 / (np.pi * scale_s * (1.0 + (offset_s / scale_s) ** 2))
-    density = 0.5 * right + 0.5 / (2.0 * largest_s)
-    anywhere_s = 2.0 * largest_s / np.sqrt(12.0)
-    return float(np.log(np.sqrt(2.0 * np.pi) * anywhere_s * density))
+    density = 0.5 * right + 0.5 / (2.0 * max(largest_offset_s, 1e-3))
+    return float(np.log(np.sqrt(2.0 * np.pi) * _anywhere_s(largest_offset_s) * density))
+
+
+def _anywhere_s(largest_offset_s: float) -> float:
+    """Standard deviation of a clock offset that may be anything up to the largest."""
+    return float(2.0 * max(largest_offset_s, 1e-3) / np.sqrt(12.0))

@@ -23,6 +23,7 @@ from sightline.labelling.expected import camera_of, learn_size
 from sightline.labelling.proposals import IN_GAP, OUTSIDE, TOO_SMALL, Proposals, propose
 from sightline.labelling.snapping import Background, Image
 from sightline.overlap import iou
+from sightline.plausibility import distance_m
 from sightline.progress import Progress
 from sightline.scene import Recording, Scene
 from sightline.tally import Tally
@@ -58,7 +59,6 @@ _SPECK_PX = (4, 3, 12)
 _UNSURE_SIGMAS = 4.0
 _UNSURE_PX = 20.0
 _FAR_KM = 2.0
-_KM_PER_DEG = 111.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +147,8 @@ def check_camera(scene: Scene, model: Georeferencer) -> None:
     if latitude is None or longitude is None:
         return
     plane = model.plane
-    away_km = _KM_PER_DEG * float(
-        np.hypot(
-            latitude - plane.latitude_deg,
-            ((longitude - plane.longitude_deg + 180.0) % 360.0 - 180.0)
-            * np.cos(np.deg2rad(latitude)),
-        )
-    )
+    places = (plane.latitude_deg, plane.longitude_deg, latitude, longitude)
+    away_km = float(distance_m(*map(np.asarray, places))) / 1000.0
     if away_km > _FAR_KM:
         raise InputError(
             f"{scene.path}: its camera stands {away_km:.0f} km from that of the model; give the "
