@@ -705,6 +705,8 @@ class Track(Columns):
         moored: (N,) bool, whether the target stayed in its place, as what is moored does, and
             houses and buoys that are taken for boats. Absent: nowhere.
         untold: Whether too little was seen of the target to tell if it moves elsewhere.
+        mmsi: Of the vessel that the target is, where that is known.
+        name: Of that vessel, or ``""``.
 
     Examples:
         >>> track = sightline.Tracks.read("tracks.geojson")[0]
@@ -729,8 +731,10 @@ class Track(Columns):
     label: str = ""
     moored: BoolArray | None = None
     untold: bool = False
+    mmsi: int | None = None
+    name: str = ""
 
-    _row_fields = (
+    _row_fields: tuple[str, ...] = (
         "time_utc_s",
         "east_m",
         "north_m",
@@ -744,7 +748,7 @@ class Track(Columns):
 
     def __post_init__(self) -> None:
         n = np.size(self.time_utc_s)
-        for name in self._row_fields:
+        for name in Track._row_fields:
             if name == "kind":
                 _freeze(self, name, self.kind, np.int8, (n,))
             elif name == "moored":
@@ -776,6 +780,15 @@ class Track(Columns):
         """(N,) degrees east."""
         return self.plane.to_geographic(self.east_m, self.north_m)[1]
 
+    def in_plane(self, plane: LocalPlane) -> Self:
+        """The same places in the plane of another origin; velocities stay as they are.
+
+        Args:
+            plane: Not so far away that its north points elsewhere.
+        """
+        east, north = plane.to_plane(self.latitude_deg, self.longitude_deg)
+        return replace(self, east_m=east, north_m=north, plane=plane)
+
     @property
     def never_moves(self) -> bool:
         """Whether the target stayed in its place for the whole track."""
@@ -791,6 +804,26 @@ class Track(Columns):
     def course_deg(self) -> FloatArray:
         """(N,) degrees clockwise from north, course over ground."""
         return np.degrees(np.arctan2(self.velocity_east_mps, self.velocity_north_mps)) % 360.0
+
+
+@dataclass(frozen=True, eq=False)
+class FusedTrack(Track):
+    """Trajectory of one target that several cameras may have seen.
+
+    Attributes:
+        cameras: (N,) str, names of the cameras that saw it at each point, parted by spaces;
+            ``""`` where none did. Absent: nowhere.
+    """
+
+    cameras: StrArray | None = None
+
+    _row_fields: tuple[str, ...] = (*Track._row_fields, "cameras")
+
+    def __post_init__(self) -> None:
+        n = np.size(self.time_utc_s)
+        cameras = np.full(n, "") if self.cameras is None else self.cameras
+        _freeze(self, "cameras", cameras, np.str_, (n,))
+        super().__post_init__()
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from sightline.cli.draw import draw
 from sightline.cli.evaluate import evaluate
 from sightline.cli.export import export
 from sightline.cli.fit import fit
+from sightline.cli.fuse import fuse
 from sightline.cli.live import live
 from sightline.cli.plan import plan
 from sightline.cli.run import run
@@ -52,8 +53,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (
-    *(demo, plan, check, draw, run, fit, compare, track, batch, show, live, export),
-    *(evaluate, count, detect, simulate),
+    *(demo, plan, check, draw, run, fit, compare, track, batch, fuse, show, live),
+    *(export, evaluate, count, detect, simulate),
 )
 for command in COMMANDS:
     app.command(cls=TrackCommand if command in (track, export) else None)(command)

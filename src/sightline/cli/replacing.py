@@ -46,6 +46,7 @@ _RESULTS = (
     {"labels", "recordings"},
     {"every_s", "journeys", "near_misses"},
     {"recordings", "done", "before", "failed"},
+    {"targets", "shared", "handovers", "cameras"},
     {"plan", "curvature", "undetermined"},
 )
 _SCENE_MARK = "# A synthetic harbour"

@@ -5,14 +5,17 @@ from __future__ import annotations
 import glob
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from sightline.configuration import Table, UtcTime, checked, posix_s, read_toml
 from sightline.errors import InputError
+from sightline.fusion import BiasPrior, FuseSettings, HandoverSettings
+from sightline.fusion.fuse import CORRELATED_SHARE
 
 _NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 _MOST_RECORDINGS = 1_000_000
@@ -39,13 +42,26 @@ class CameraTable(Table):
     """One of `[[cameras]]`."""
 
     name: Name
-    model: str
-    recordings: Annotated[list[str | RecordingTable], Field(min_length=1)]
+    model: str | None = None
+    recordings: list[str | RecordingTable] = Field(default_factory=list)
+    tracks: list[str] = Field(default_factory=list)
+    latitude_deg: Annotated[float, Field(ge=-90.0, le=90.0)] | None = None
+    longitude_deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
     detector: str | None = None
     classes: list[str] | None = None
     threshold: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     area: list[str] = Field(default_factory=list)
     mask: str | None = None
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if not self.recordings and not self.tracks:
+            raise ValueError("give recordings, that batch tracks, or tracks, that fuse fuses")
+        if self.recordings and self.model is None:
+            raise ValueError("recordings are tracked by a model; give model")
+        if (self.latitude_deg is None) != (self.longitude_deg is None):
+            raise ValueError("give both latitude_deg and longitude_deg, or neither")
+        return self
 
 
 class TracksTable(Table):
@@ -56,11 +72,22 @@ class TracksTable(Table):
     moving_only: bool = False
 
 
+class FusionTable(Table):
+    """`[fusion]`."""
+
+    interval_s: Annotated[float, Field(ge=0.05, le=3600.0)] = FuseSettings.interval_s
+    longest_gap_s: Annotated[float, Field(gt=0.0, le=3600.0)] = HandoverSettings.longest_s
+    correlated_share: Annotated[float, Field(ge=0.0, le=1.0)] = CORRELATED_SHARE
+    bias_m: Annotated[float, Field(gt=0.0, le=1000.0)] = BiasPrior.offset_m
+    bias_heading_deg: Annotated[float, Field(gt=0.0, le=45.0)] = BiasPrior.heading_deg
+
+
 class FleetTable(Table):
     """All of `fleet.toml`."""
 
     cameras: Annotated[list[CameraTable], Field(min_length=1)]
     tracks: TracksTable = TracksTable()
+    fusion: FusionTable = FusionTable()
 
 
 @dataclass(frozen=True)
@@ -134,26 +161,116 @@ class Fleet:
     moving_only: bool = False
 
 
+@dataclass(frozen=True)
+class TracksOfCamera:
+    """A camera of a fleet whose tracks are in files.
+
+    Attributes:
+        name: Of its own.
+        tracks: The files.
+        place: Latitude and longitude of the camera, degrees; None where nobody says.
+        model: The file of its fitted model, whose place is the camera's where nothing else is.
+    """
+
+    name: str
+    tracks: tuple[Path, ...]
+    place: tuple[float, float] | None = None
+    model: Path | None = None
+
+
+@dataclass(frozen=True)
+class FusedFleet:
+    """The cameras whose tracks are fused, and how.
+
+    Attributes:
+        path: The fleet file.
+        cameras: At least two.
+        settings: Of the fusion.
+    """
+
+    path: Path
+    cameras: tuple[TracksOfCamera, ...]
+    settings: FuseSettings
+
+
 def read_fleet(path: Path) -> Fleet:
     """Read `fleet.toml`, and find the recordings; paths and patterns in it are relative to it.
 
     Raises:
         InputError: There is no such file, it is no TOML, a key or a value cannot stand there, a
-            file that it names does not exist, a pattern matches nothing, or two cameras name one
-            recording.
+            file that it names does not exist, a pattern matches nothing, two cameras name one
+            recording, or there is none.
     """
+    table = _table(path)
+    recorded = [one for one in table.cameras if one.recordings]
+    if not recorded:
+        raise InputError(
+            f"{path}: no camera has recordings; tracks that are there already, sightline fuse fuses"
+        )
+    cameras = tuple(_camera(path, one) for one in recorded)
+    _refuse_twice(
+        path,
+        [(camera.name, one.source, "recording") for camera in cameras for one in camera.recordings],
+    )
+    tracks = table.tracks
+    return Fleet(cameras, tracks.trajectory, tracks.interval_s, tracks.moving_only)
+
+
+def read_fused_fleet(path: Path) -> FusedFleet:
+    """Read the cameras of `fleet.toml` that have tracks; paths and patterns are relative to it.
+
+    Raises:
+        InputError: As `read_fleet`, of files of tracks; or fewer than two cameras have any.
+    """
+    table = _table(path)
+    folder = path.parent
+    cameras = []
+    for one in table.cameras:
+        where = f"{path}: camera {one.name}"
+        files = [file for name in one.tracks for _, file in _matching(where, folder, name)]
+        place = None
+        if one.latitude_deg is not None and one.longitude_deg is not None:
+            place = one.latitude_deg, one.longitude_deg
+        if files:
+            model = None if one.model is None else _there(where, folder, one.model)
+            cameras.append(TracksOfCamera(one.name, tuple(files), place, model))
+    if len(cameras) < 2:
+        raise InputError(
+            f"{path}: {len(cameras)} of {len(table.cameras)} cameras have tracks, and two are the "
+            'least to fuse; give each its files (tracks = ["pier.parquet"])'
+        )
+    _refuse_twice(
+        path,
+        [(camera.name, file, "file of tracks") for camera in cameras for file in camera.tracks],
+    )
+    told = table.fusion
+    settings = FuseSettings(
+        interval_s=told.interval_s,
+        correlated_share=told.correlated_share,
+        bias=BiasPrior(told.bias_m, told.bias_heading_deg),
+        handover=HandoverSettings(longest_s=told.longest_gap_s),
+    )
+    return FusedFleet(path, tuple(cameras), settings)
+
+
+def _table(path: Path) -> FleetTable:
+    """The tables of a fleet file, whose cameras have names of their own."""
     try:
         content = read_toml(path, "fleet file")
     except FileNotFoundError as error:
         raise InputError(f"{path}: there is no such fleet file") from error
     table = checked(path, content, FleetTable)
-    cameras = tuple(_camera(path, one) for one in table.cameras)
-    _refuse_twice(path, cameras)
-    tracks = table.tracks
-    return Fleet(cameras, tracks.trajectory, tracks.interval_s, tracks.moving_only)
+    names: set[str] = set()
+    for camera in table.cameras:
+        # Folders of results are told apart by it, on disks that know no case as well.
+        if camera.name.lower() in names:
+            raise InputError(f"{path}: two cameras are called {camera.name}; rename one of them")
+        names.add(camera.name.lower())
+    return table
 
 
 def _camera(path: Path, table: CameraTable) -> FleetCamera:
+    assert table.model is not None, "recordings have one"
     folder = path.parent
     where = f"{path}: camera {table.name}"
     recordings: dict[str, FleetRecording] = {}
@@ -236,19 +353,14 @@ def _there(where: str, folder: Path, name: str) -> Path:
     return path
 
 
-def _refuse_twice(path: Path, cameras: tuple[FleetCamera, ...]) -> None:
-    names: set[str] = set()
+def _refuse_twice(path: Path, named: Sequence[tuple[str, Path, str]]) -> None:
+    """Raise InputError where two cameras, or one twice, name the same file."""
     sources: dict[str, str] = {}
-    for camera in cameras:
-        # Folders of results are told apart by it, on disks that know no case as well.
-        if camera.name.lower() in names:
-            raise InputError(f"{path}: two cameras are called {camera.name}; rename one of them")
-        names.add(camera.name.lower())
-        for recording in camera.recordings:
-            real = os.path.realpath(recording.source)
-            if real in sources:
-                raise InputError(
-                    f"{path}: {recording.source} is a recording of camera {sources[real]} and of "
-                    f"camera {camera.name}; one of them names another's file"
-                )
-            sources[real] = camera.name
+    for camera, file, what in named:
+        real = os.path.realpath(file)
+        if real in sources:
+            raise InputError(
+                f"{path}: {file} is a {what} of camera {sources[real]} and of camera {camera}; "
+                "one of them names another's file"
+            )
+        sources[real] = camera

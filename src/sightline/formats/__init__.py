@@ -9,6 +9,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -113,6 +114,13 @@ _WRITERS: dict[str, Callable[[Path], AbstractContextManager[TrackWriter]]] = {
     ".parquet": parquet_track_writer,
     ".gpkg": geopackage_track_writer,
     ".mfjson": mfjson_track_writer,
+}
+_FUSED_WRITERS: dict[str, Callable[[Path], AbstractContextManager[TrackWriter]]] = {
+    **_WRITERS,
+    ".geojson": partial(geojson_track_writer, fused=True),
+    ".csv": partial(csv_track_writer, fused=True),
+    ".parquet": partial(parquet_track_writer, fused=True),
+    ".gpkg": partial(geopackage_track_writer, fused=True),
 }
 _READERS: dict[str, Callable[[str | os.PathLike[str]], pd.DataFrame]] = {
     ".geojson": read_geojson_table,
@@ -310,7 +318,7 @@ def box_writer(path: str | os.PathLike[str]) -> Iterator[BoxWriter]:
 
 
 @contextmanager
-def track_writer(path: str | os.PathLike[str]) -> Iterator[TrackWriter]:
+def track_writer(path: str | os.PathLike[str], *, fused: bool = False) -> Iterator[TrackWriter]:
     """Write tracks as they are finished; the file appears when the block ends well.
 
     Tracks are written one by one, at a memory that does not grow with their number.
@@ -318,18 +326,22 @@ def track_writer(path: str | os.PathLike[str]) -> Iterator[TrackWriter]:
     Args:
         path: Ends in .geojson, .gpx, .kml, .csv, .mfjson, .parquet or .gpkg; the last two need the
             extras ``sightline[parquet]`` and ``sightline[geopackage]``.
+        fused: Whether tables and GeoJSON say too which cameras saw a target at each point, and its
+            MMSI and name.
 
     Raises:
         InputError: The ending is unknown, an extra is missing, or the file cannot be written.
     """
-    opened = _by_suffix(path, _WRITERS, "tracks")
+    opened = _by_suffix(path, _FUSED_WRITERS if fused else _WRITERS, "tracks")
     with atomic_path(path) as temporary, opened(temporary) as writer:
         yield writer
 
 
-def write_tracks(tracks: Iterable[Track], path: str | os.PathLike[str]) -> None:
+def write_tracks(
+    tracks: Iterable[Track], path: str | os.PathLike[str], *, fused: bool = False
+) -> None:
     """Write tracks in the format that the file's ending names; see `track_writer`."""
-    with track_writer(path) as writer:
+    with track_writer(path, fused=fused) as writer:
         for track in tracks:
             writer.add(track)
 

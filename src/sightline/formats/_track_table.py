@@ -15,7 +15,15 @@ from sightline.errors import InputError
 from sightline.formats import _files
 from sightline.geodesy import LocalPlane
 from sightline.text import encodable_text
-from sightline.types import BoolArray, FloatArray, PointKind, Track, ellipses, from_datetime64
+from sightline.types import (
+    BoolArray,
+    FloatArray,
+    FusedTrack,
+    PointKind,
+    Track,
+    ellipses,
+    from_datetime64,
+)
 
 KINDS = tuple(kind.name.lower() for kind in PointKind)
 """The word for each `PointKind`, by its value."""
@@ -35,6 +43,7 @@ _VELOCITY_COVARIANCE = (
 )
 _ELLIPSE = ("semi_major_m", "semi_minor_m", "ellipse_bearing_deg")
 _PROBABILITY = 0.95
+_LARGEST_MMSI = 999_999_999
 _PLAIN = (str, int, float, date, np.generic, type(None), type(pd.NaT))
 
 COLUMNS = (
@@ -43,6 +52,12 @@ COLUMNS = (
     "state",
 )
 """The columns of a table of tracks, in their order."""
+
+FUSED = ("cameras", "mmsi", "name")
+"""The columns that a table of fused tracks has besides."""
+
+KNOWN = (*COLUMNS, *FUSED)
+"""All columns that are read."""
 
 
 def columns(track: Track) -> dict[str, NDArray[Any]]:
@@ -69,8 +84,26 @@ def columns(track: Track) -> dict[str, NDArray[Any]]:
     return places | {name: np.round(axis, 6) for name, axis in zip(_ELLIPSE, axes, strict=True)}
 
 
-def table(track: Track) -> pd.DataFrame:
-    """A track as a table, a row a point: `COLUMNS`, its times in milliseconds."""
+def fused_columns(track: Track) -> pd.DataFrame:
+    """What `FUSED` adds to a table: which cameras saw the target at each point, and who it is."""
+    n = len(track)
+    cameras = track.cameras if isinstance(track, FusedTrack) else None
+    return pd.DataFrame(
+        {
+            "cameras": pd.array(np.full(n, "") if cameras is None else cameras, dtype="str"),
+            "mmsi": pd.array([pd.NA if track.mmsi is None else track.mmsi] * n, dtype="Int64"),
+            "name": pd.array([encodable_text(track.name)] * n, dtype="str"),
+        }
+    )
+
+
+def table(track: Track, *, fused: bool = False) -> pd.DataFrame:
+    """A track as a table, a row a point: `COLUMNS`, its times in milliseconds.
+
+    Args:
+        track: The track.
+        fused: Whether it has the columns of `FUSED` too.
+    """
     times = pd.DatetimeIndex(_files.milliseconds(track.time_utc_s), tz="UTC")
     content: dict[str, object] = {
         "track_id": np.full(len(track), track.track_id, dtype=np.int64),
@@ -78,16 +111,18 @@ def table(track: Track) -> pd.DataFrame:
         "label": pd.array([encodable_text(track.label)] * len(track), dtype="str"),
         **columns(track),
     }
-    return pd.DataFrame({name: content[name] for name in COLUMNS})
+    rows = pd.DataFrame({name: content[name] for name in COLUMNS})
+    return pd.concat([rows, fused_columns(track)], axis=1) if fused else rows
 
 
-def empty() -> pd.DataFrame:
+def empty(*, fused: bool = False) -> pd.DataFrame:
     """The table of a track without points: its columns and their types."""
     nothing = np.empty(0)
     no_covariance = np.empty((0, 2, 2))
     plane = LocalPlane(0.0, 0.0)
     return table(
-        Track(0, *(nothing,) * 5, no_covariance, no_covariance, nothing.astype(np.int8), plane)
+        Track(0, *(nothing,) * 5, no_covariance, no_covariance, nothing.astype(np.int8), plane),
+        fused=fused,
     )
 
 
@@ -203,10 +238,21 @@ def _track(rows: pd.DataFrame, plane: LocalPlane) -> Track:
         velocity_covariance_m2ps2=_symmetric(rows, _VELOCITY_COVARIANCE),
         kind=_kinds(rows),
         plane=plane,
-        label=_label(rows),
+        label=_text(rows, "label"),
         moored=_in_state(rows, MOORED),
         untold=bool(_in_state(rows, UNTOLD).any()),
+        mmsi=_mmsi(rows),
+        name=_text(rows, "name"),
     )
+
+
+def _mmsi(rows: pd.DataFrame) -> int | None:
+    """Of the vessel; None where none is told, or what is told is none."""
+    if "mmsi" not in rows:
+        return None
+    told = pd.to_numeric(rows["mmsi"], errors="coerce").dropna()
+    numbers = told[(told >= 1) & (told <= _LARGEST_MMSI) & (told % 1 == 0)]
+    return None if numbers.empty else int(numbers.iloc[0])
 
 
 def _slope(values: FloatArray, time_s: FloatArray) -> FloatArray:
@@ -260,8 +306,8 @@ def _in_state(rows: pd.DataFrame, state: str) -> BoolArray:
     return np.array([word == state for word in rows["state"]], dtype=bool)
 
 
-def _label(rows: pd.DataFrame) -> str:
-    if "label" not in rows:
+def _text(rows: pd.DataFrame, name: str) -> str:
+    if name not in rows:
         return ""
-    label = rows["label"].iloc[0]
-    return "" if pd.isna(label) else encodable_text(str(label))
+    text = rows[name].iloc[0]
+    return "" if pd.isna(text) else encodable_text(str(text))

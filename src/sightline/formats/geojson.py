@@ -30,27 +30,35 @@ _PROPERTIES = (
     "label",
 )
 
+_KNOWN = (*_PROPERTIES, *_track_table.FUSED)
 _COLUMNS = ("longitude_deg", "latitude_deg", "time", *_PROPERTIES[:-1])
-_FEATURE = (
-    '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [%%s, %%s]}, '
-    '"properties": {"track_id": %s, "time": %%s, '
-    + "".join(f'"{name}": %%s, ' for name in _PROPERTIES[:-1])
-    + '"label": %s}}'
-)
+
+
+def _feature(columns: tuple[str, ...]) -> str:
+    """The text of a feature, whose values are filled in; the label comes last."""
+    return (
+        '{"type": "Feature", "geometry": {"type": "Point", "coordinates": [%%s, %%s]}, '
+        '"properties": {"track_id": %s, "time": %%s, '
+        + "".join(f'"{name}": %%s, ' for name in columns)
+        + '"label": %s}}'
+    )
 
 
 @contextmanager
-def geojson_track_writer(path: Path) -> Iterator[GeoJsonTrackWriter]:
+def geojson_track_writer(path: Path, *, fused: bool = False) -> Iterator[GeoJsonTrackWriter]:
     """Write tracks one at a time, a feature a point."""
     with feature_writer(path) as features:
-        yield GeoJsonTrackWriter(features)
+        yield GeoJsonTrackWriter(features, fused=fused)
 
 
 class GeoJsonTrackWriter:
     """Adds tracks to an open GeoJSON file; see `geojson_track_writer`."""
 
-    def __init__(self, features: FeatureWriter) -> None:
+    def __init__(self, features: FeatureWriter, *, fused: bool = False) -> None:
         self._features = features
+        self._fused = fused
+        self._columns = (*_COLUMNS, *(_track_table.FUSED if fused else ()))
+        self._feature = _feature(self._columns[3:])
 
     def add(self, track: Track) -> None:
         """Write one track."""
@@ -58,9 +66,13 @@ class GeoJsonTrackWriter:
             return
         columns = _track_table.columns(track)
         columns["time"] = _files.rfc3339(track.time_utc_s)
-        texts = [_values(columns[name]) for name in _COLUMNS]
+        if self._fused:
+            more = _track_table.fused_columns(track)
+            columns |= {name: np.array(more[name].tolist()) for name in ("cameras", "name")}
+            columns["mmsi"] = np.array([track.mmsi] * len(track))
+        texts = [_values(columns[name]) for name in self._columns]
         label = json.dumps(encodable_text(track.label)).replace("%", "%%")
-        feature = _FEATURE % (json.dumps(track.track_id), label)
+        feature = self._feature % (json.dumps(track.track_id), label)
         self._features.add(feature % point for point in zip(*texts, strict=True))
 
 
@@ -108,7 +120,7 @@ def _row(path: str | os.PathLike[str], number: int, feature: Any) -> dict[str, A
         if geometry["type"] != "Point":
             raise KeyError(geometry["type"])
         row = {
-            **{name: properties.get(name, np.nan) for name in _PROPERTIES if name in properties},
+            **{name: properties.get(name, np.nan) for name in _KNOWN if name in properties},
             "track_id": properties["track_id"],
             "time": properties["time"],
             "longitude_deg": longitude,

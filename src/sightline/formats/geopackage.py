@@ -26,11 +26,11 @@ _LEAST_ROW_BYTES = 4
 
 
 @contextmanager
-def geopackage_track_writer(path: Path) -> Iterator[GeoPackageTrackWriter]:
+def geopackage_track_writer(path: Path, *, fused: bool = False) -> Iterator[GeoPackageTrackWriter]:
     """Write tracks one at a time, a point feature a point, in the layer ``tracks``."""
     # The driver makes its own file and does not take an empty one for it.
     path.unlink()
-    writer = GeoPackageTrackWriter(path)
+    writer = GeoPackageTrackWriter(path, fused=fused)
     yield writer
     writer.flush()
     writer.check()
@@ -39,17 +39,19 @@ def geopackage_track_writer(path: Path) -> Iterator[GeoPackageTrackWriter]:
 class GeoPackageTrackWriter:
     """Adds tracks to a GeoPackage; see `geopackage_track_writer`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, fused: bool = False) -> None:
         self._geopandas = module("geopandas", "geopackage")
         self._path = path
-        self._waiting = [_track_table.empty()]
+        self._fused = fused
+        self._waiting = [_track_table.empty(fused=fused)]
         self._rows = self._written = 0
 
     def add(self, track: Track) -> None:
         """Add one track; it is written with others, since each write is a transaction."""
-        rows = _track_table.table(track)
+        rows = _track_table.table(track, fused=self._fused)
         # A text ends at a zero there.
-        rows["label"] = rows["label"].str.replace("\0", "\ufffd")
+        for name in {"label", "name"} & set(rows.columns):
+            rows[name] = rows[name].str.replace("\0", "\ufffd")
         self._waiting.append(rows)
         self._rows += len(track)
         if self._rows >= _ROWS_AT_ONCE:
@@ -145,7 +147,7 @@ def _rows(
     if not definition.startswith("table CREATE TABLE"):
         raise InputError(f"{path}: is no GeoPackage with a layer {_LAYER!r}")
     columns = [name for _, name, *_ in database.execute(f"PRAGMA table_info({_LAYER})")]
-    known = [name for name in columns if name in _track_table.COLUMNS]
+    known = [name for name in columns if name in _track_table.KNOWN]
     missing = [name for name in _track_table.REQUIRED if name not in known]
     if missing:
         raise _track_table.lacks(path, missing, columns)

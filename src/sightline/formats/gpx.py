@@ -139,7 +139,8 @@ class GpxTrackWriter:
     def add(self, track: Track) -> None:
         """Write one track."""
         label = _files.xml_text(track.label)
-        out = gpxpy.gpx.GPXTrack(name=f"{label or 'track'} {track.track_id}", number=track.track_id)
+        called = _files.xml_text(track.name) or label or "track"
+        out = gpxpy.gpx.GPXTrack(name=f"{called} {track.track_id}", number=track.track_id)
         out.type = label or None  # type: ignore[assignment]
         if track.never_moves:
             out.comment = "moored"

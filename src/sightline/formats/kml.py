@@ -36,7 +36,7 @@ class KmlTrackWriter:
 
     def add(self, track: Track) -> None:
         """Write one track."""
-        name = f"{_files.xml_text(track.label) or 'track'} {track.track_id}"
+        name = f"{_files.xml_text(track.name or track.label) or 'track'} {track.track_id}"
         if track.never_moves:
             name += " (moored)"
         times = _files.rfc3339(track.time_utc_s).tolist()

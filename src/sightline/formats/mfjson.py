@@ -49,10 +49,15 @@ class MfJsonTrackWriter:
         for name, (unit, values) in columns.items():
             known = [None if value != value else round(value, 3) for value in values.tolist()]
             properties[name] = {"type": "Measure", "uom": unit, "values": known}
+        said: dict[str, object] = {"track_id": track.track_id, "label": track.label}
+        if track.mmsi is not None:
+            said["mmsi"] = track.mmsi
+        if track.name:
+            said["name"] = track.name
         feature = {
             "type": "Feature",
             "id": str(track.track_id),
-            "properties": {"track_id": track.track_id, "label": track.label},
+            "properties": said,
             "temporalGeometry": {
                 "type": "MovingPoint",
                 "datetimes": times,

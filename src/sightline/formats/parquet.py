@@ -23,29 +23,30 @@ _GEO = {
     "primary_column": _GEOMETRY,
     "columns": {_GEOMETRY: {"encoding": "WKB", "geometry_types": ["Point"]}},
 }
-_TEXTS = ("label", "kind", "state")
+_TEXTS = ("label", "kind", "state", "cameras", "name")
 _LONGEST_TEXT = 1000
 _MOST_ROWS = 20_000_000
 
 
 @contextmanager
-def parquet_track_writer(path: Path) -> Iterator[ParquetTrackWriter]:
+def parquet_track_writer(path: Path, *, fused: bool = False) -> Iterator[ParquetTrackWriter]:
     """Write tracks one at a time, each as a group of rows: GeoParquet 1.1, a point a row.
 
     Source: https://geoparquet.org/releases/v1.1.0/ (coordinates are OGC:CRS84 unless said).
     """
     arrow = module("pyarrow", "parquet")
-    plain = arrow.Schema.from_pandas(_track_table.empty(), preserve_index=False)
+    plain = arrow.Schema.from_pandas(_track_table.empty(fused=fused), preserve_index=False)
     described = {**(plain.metadata or {}), b"geo": json.dumps(_GEO).encode()}
     schema = plain.append(arrow.field(_GEOMETRY, arrow.binary())).with_metadata(described)
     with module("pyarrow.parquet", "parquet").ParquetWriter(path, schema) as file:
-        yield ParquetTrackWriter(file, plain, schema)
+        yield ParquetTrackWriter(file, plain, schema, fused=fused)
 
 
 class ParquetTrackWriter:
     """Adds tracks to an open Parquet file; see `parquet_track_writer`."""
 
-    def __init__(self, file: Any, plain: Any, schema: Any) -> None:
+    def __init__(self, file: Any, plain: Any, schema: Any, *, fused: bool = False) -> None:
+        self._fused = fused
         self._file = file
         self._plain = plain
         self._schema = schema
@@ -53,7 +54,7 @@ class ParquetTrackWriter:
     def add(self, track: Track) -> None:
         """Write one track."""
         arrow = module("pyarrow", "parquet")
-        frame = _track_table.table(track)
+        frame = _track_table.table(track, fused=self._fused)
         rows = arrow.Table.from_pandas(frame, schema=self._plain, preserve_index=False)
         points = arrow.array(_points(frame), arrow.binary())
         columns = [*rows.columns, points]
@@ -81,9 +82,10 @@ def read_parquet_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     try:
         # Texts stay numbered: one that is long and stands in many rows is not written out.
         with reader.open("rb") as opened:
-            file = parquet.ParquetFile(opened, read_dictionary=list(_TEXTS))
-            names = list(dict.fromkeys(file.schema_arrow.names))
-            known = [name for name in names if name in _track_table.COLUMNS]
+            names = list(dict.fromkeys(parquet.read_schema(opened).names))
+            texts = [name for name in _TEXTS if name in names]
+            file = parquet.ParquetFile(opened, read_dictionary=texts)
+            known = [name for name in names if name in _track_table.KNOWN]
             missing = [name for name in _track_table.REQUIRED if name not in known]
             if missing:
                 raise _track_table.lacks(path, missing, names)

@@ -17,10 +17,10 @@ from sightline.types import Track
 
 
 @contextmanager
-def csv_track_writer(path: Path) -> Iterator[CsvTrackWriter]:
+def csv_track_writer(path: Path, *, fused: bool = False) -> Iterator[CsvTrackWriter]:
     """Write tracks one at a time, a row a point."""
     with path.open("w", encoding="utf-8", newline="") as file:
-        yield CsvTrackWriter(file)
+        yield CsvTrackWriter(file, fused=fused)
 
 
 class CsvTrackWriter:
@@ -29,9 +29,10 @@ class CsvTrackWriter:
     A label that a spreadsheet would take for a formula is written as a text; see `cell_text`.
     """
 
-    def __init__(self, file: TextIO) -> None:
+    def __init__(self, file: TextIO, *, fused: bool = False) -> None:
         self._writer = csv.writer(file, lineterminator=os.linesep)
-        _track_table.empty().to_csv(file, index=False)
+        self._fused = fused
+        _track_table.empty(fused=fused).to_csv(file, index=False)
 
     def add(self, track: Track) -> None:
         """Write one track."""
@@ -43,7 +44,14 @@ class CsvTrackWriter:
         }
         for name, column in _track_table.columns(track).items():
             content[name] = ["" if value != value else value for value in column.tolist()]
-        rows = [content[name] for name in _track_table.COLUMNS]
+        names: tuple[str, ...] = _track_table.COLUMNS
+        if self._fused:
+            names = _track_table.KNOWN
+            more = _track_table.fused_columns(track)
+            content["cameras"] = [cell_text(cell) for cell in more["cameras"]]
+            content["mmsi"] = ["" if track.mmsi is None else track.mmsi] * len(track)
+            content["name"] = [cell_text(cell) for cell in more["name"]]
+        rows = [content[name] for name in names]
         self._writer.writerows(zip(*rows, strict=True))
 
 
@@ -53,11 +61,13 @@ def read_csv_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     Raises:
         InputError: A column is missing, or a cell cannot be understood.
     """
-    (rows,) = _files.table(path, required=_track_table.REQUIRED, text=("label", "kind", "state"))
+    (rows,) = _files.table(
+        path, required=_track_table.REQUIRED, text=("label", "kind", "state", "cameras", "name")
+    )
     rows["time_utc_s"] = _files.times(path, rows["time_utc"])
     rows["track_id"] = _files.whole_numbers(path, rows["track_id"])
     for name in ("latitude_deg", "longitude_deg"):
         rows[name] = _files.numbers(path, rows[name])
-    if "label" in rows:
-        rows["label"] = rows["label"].map(text_of_cell, na_action="ignore")
+    for name in {"label", "cameras", "name"} & set(rows.columns):
+        rows[name] = rows[name].map(text_of_cell, na_action="ignore")
     return rows

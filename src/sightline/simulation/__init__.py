@@ -11,6 +11,7 @@ from sightline.simulation.harbour import (
 )
 from sightline.simulation.platform import Knock
 from sightline.simulation.render import Look, Renderer
+from sightline.simulation.several import SeveralSettings, harbours
 from sightline.simulation.simulate import (
     Recording,
     Simulation,
@@ -28,9 +29,11 @@ __all__ = [
     "ReceiverNoise",
     "Recording",
     "Renderer",
+    "SeveralSettings",
     "SimulatedCamera",
     "Simulation",
     "SimulationSettings",
     "Truth",
+    "harbours",
     "simulate",
 ]

@@ -17,7 +17,7 @@ All is drawn from seeds: the same arguments give the same world and the same noi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -325,6 +325,36 @@ class Harbour:
             if settings.moving
             else None,
             shore=shore,
+        )
+
+    def seen_from(
+        self, camera: SimulatedCamera, place_m: ArrayLike, *, piles: tuple[Pile, ...] = ()
+    ) -> Harbour:
+        """The same boats at the same times before another camera that stands still.
+
+        Args:
+            camera: The other camera.
+            place_m: (2,) where it stands, metres east and north of this one.
+            piles: What stands before it, from where it stands.
+        """
+        east_m, north_m = np.asarray(place_m, dtype=float)
+        latitude, longitude = self.plane.to_geographic([east_m], [north_m])
+        boats = tuple(
+            replace(
+                boat, path=replace(boat.path, position_m=boat.path.position_m - (east_m, north_m))
+            )
+            for boat in self.boats
+        )
+        return replace(
+            self,
+            camera=camera,
+            plane=LocalPlane(float(latitude[0]), float(longitude[0])),
+            boats=boats,
+            piles=piles,
+            gulls=(),
+            platform=None,
+            knock=None,
+            shore=None,
         )
 
     @property

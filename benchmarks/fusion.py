@@ -1,0 +1,133 @@
+"""Three cameras before one harbour with twenty vessels: their tracks, fused, against the truth.
+
+    python benchmarks/fusion.py --seeds 5
+
+Each camera has a model that learned from one boat's log on another day; its tracks are made of the
+boxes of a detector that misses some, through piles and boats that hide one another. The truth is
+where vessels are while at least one camera sees them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+from _support.fleet import (
+    MATCH_M,
+    TruePlaces,
+    as_cameras,
+    camera_tracks,
+    learned,
+    score,
+    true_places,
+)
+
+from sightline.fusion import CameraTracks, FuseSettings, Fusion, fuse
+from sightline.simulation import SeveralSettings, harbours
+from sightline.simulation.harbour import DOCK
+from sightline.types import Track
+
+CHI2_95 = 5.991
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--vessels", type=int, default=20)
+    parser.add_argument("--duration", type=float, default=240.0)
+    parser.add_argument("--share", type=float, default=FuseSettings.correlated_share)
+    options = parser.parse_args()
+    rows = []
+    print("seed  one target  IDF1 fused  best camera  RMSE m fused/better  ratio  in ellipse")
+    for seed in range(options.first, options.first + options.seeds):
+        cameras, truth = world(seed, options.vessels, options.duration)
+        begin = time.perf_counter()
+        fused = fuse(cameras, DOCK, FuseSettings(correlated_share=options.share))
+        took_s = time.perf_counter() - begin
+        row = judge(truth, cameras, fused)
+        rows.append(row)
+        said = "  ".join(f"{value:.3f}" for value in row)
+        print(
+            f"{seed:4d}  {said}  ({took_s:.1f} s, scatter {fused.scatter:.2f}, "
+            f"{len(fused.tracks)} targets, {fused.handovers} handovers)",
+            flush=True,
+        )
+    mean = np.mean(rows, axis=0)
+    print("mean  " + "  ".join(f"{value:.3f}" for value in mean))
+    print(f"IDF1 gained: {mean[1] - mean[2]:.3f}")
+
+
+def world(seed: int, vessels: int, duration_s: float) -> tuple[list[CameraTracks], TruePlaces]:
+    """Tracks of each camera, and the truth."""
+    views = harbours(seed, SeveralSettings(vessels=vessels, duration_s=duration_s))
+    tracks = [
+        camera_tracks(view, learned(view, 100 * seed + k), 10 * seed + k + 1)
+        for k, view in enumerate(views)
+    ]
+    return as_cameras(views, tracks), true_places(views)
+
+
+def judge(truth: TruePlaces, cameras: list[CameraTracks], fused: Fusion) -> tuple[float, ...]:
+    """One target each, IDF1 fused and of the best camera, RMSE of both, ratio, in the ellipse."""
+    found = score(truth, fused.tracks)
+    best = max(score(truth, camera.tracks).idf1 for camera in cameras)
+    once, errors, inside = overlap(truth, fused.tracks)
+    singles = [overlap(truth, camera.tracks)[1] for camera in cameras]
+    both = (truth.seen.sum(axis=2) >= 2) & np.isfinite(errors)
+    # While a camera takes one vessel for another, its error says nothing of how well it measures.
+    for single, k in zip(singles, range(len(cameras)), strict=True):
+        both &= (single < MATCH_M) | ~truth.seen[..., k]
+    at_hand = np.stack(singles)
+    # The better camera of each vessel: by its error over the whole overlap.
+    better, own = [], []
+    for j in range(errors.shape[1]):
+        rows = both[:, j]
+        if rows.sum() < 10:
+            continue
+        squares = [np.mean(one[rows, j] ** 2) for one in at_hand if np.isfinite(one[rows, j]).all()]
+        if squares:
+            better.append((rows.sum(), min(squares)))
+            own.append((rows.sum(), np.mean(errors[rows, j] ** 2)))
+    rms = [np.sqrt(np.average([v for _, v in x], weights=[n for n, _ in x])) for x in (own, better)]
+    return (once, found.idf1, best, rms[0], rms[1], rms[0] / rms[1], inside)
+
+
+def overlap(truth: TruePlaces, tracks: tuple[Track, ...]) -> tuple[float, np.ndarray, float]:
+    """Share of target-time with one track, (T, B) errors of the nearest, share in the ellipse.
+
+    A vessel has one target where exactly one track is nearer than the limit to it, and to no other
+    vessel nearer.
+    """
+    times, place = truth.time_utc_s, truth.place_m
+    somewhere = truth.seen.any(axis=2)
+    count = np.zeros(somewhere.shape, dtype=int)
+    errors = np.full(somewhere.shape, np.nan)
+    covered = np.zeros(somewhere.shape)
+    for one in tracks:
+        index = np.round(one.time_utc_s - times[0]).astype(int)
+        on = (index >= 0) & (index < times.size)
+        index = index[on]
+        at = np.stack([one.east_m, one.north_m], axis=1)[on]
+        apart = at[:, None] - place[index]
+        distance = np.hypot(apart[..., 0], apart[..., 1])
+        # Whose it is, the track as a whole tells: the vessel that it is mostly nearest to.
+        nearest = np.where(somewhere[index], distance, np.inf).argmin(axis=1)
+        whose = np.bincount(nearest, minlength=place.shape[1]).argmax()
+        near = distance[np.arange(len(at)), nearest] < MATCH_M
+        np.add.at(count, (index[near], nearest[near]), 1)
+        own = distance[:, whose]
+        inverse = np.linalg.inv(one.covariance_m2[on])
+        off = apart[:, whose]
+        squared = np.einsum("ni,nij,nj->n", off, inverse, off)
+        better = ~(errors[index, whose] <= own) & (own < 3.0 * MATCH_M)
+        errors[index[better], whose] = own[better]
+        covered[index[better], whose] = squared[better] < CHI2_95
+    known = somewhere & np.isfinite(errors)
+    once = float((count == 1)[somewhere].mean())
+    return once, np.where(somewhere, errors, np.nan), float(covered[known].mean())
+
+
+if __name__ == "__main__":
+    main()
