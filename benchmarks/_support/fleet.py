@@ -11,10 +11,11 @@ import numpy as np
 
 from _support.tracking import TrackingScore, score_identities
 from sightline import track
-from sightline.formats import write_boxes, write_fixes
+from sightline.formats import write_boxes, write_fixes, write_tracks
 from sightline.fusion import CameraTracks
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.pipeline.fit import fit
+from sightline.pipeline.fit_unlabelled import fit_scene
 from sightline.pipeline.track import TrackSettings
 from sightline.scene import Scene
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, ReceiverNoise
@@ -163,3 +164,54 @@ def as_cameras(views: Sequence[Harbour], tracks: Sequence[Sequence[Track]]) -> l
             )
         )
     return out
+
+
+def place_errors(harbour: Harbour, model: Georeferencer, seed: int) -> FloatArray:
+    """(N,) metres, of single boxes of a detector that are right but for its bias, within 450 m."""
+    exact = BoxNoise(
+        std_px=0.0,
+        lower_edge_bias_px=DETECTOR.lower_edge_bias_px,
+        source=DETECTOR.source,
+        least_px=DETECTOR.least_px,
+    )
+    boxes = harbour.boxes(harbour.times(0.5), noise=exact, of="all", seed=seed)
+    found = model.locate(boxes.xyxy_px, source=boxes.source)
+    errors = []
+    for boat in harbour.boats:
+        rows = boxes.track_id == boat.identity
+        truth = harbour.truth(boxes.time_utc_s[rows], [boat])
+        east, north = found.plane.to_plane(truth.latitude_deg, truth.longitude_deg)
+        off = np.hypot(found.east_m[rows] - east, found.north_m[rows] - north)
+        errors.append(off[(truth.range_m < 450.0) & np.isfinite(off)])
+    return np.concatenate(errors)
+
+
+def taught(harbour: Harbour, tracks: Sequence[Track], seed: int) -> Georeferencer:
+    """A model of a camera without a log, taught by the fused tracks of its neighbours."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_boxes(detections(harbour, seed), folder / "detections.csv")
+        write_tracks(tracks, folder / "fused.csv", fused=True)
+        write_scene(
+            harbour,
+            folder / "scene.toml",
+            'detections = "detections.csv"\nfixes = "fused.csv"\n',
+        )
+        return fit_scene(Scene.load(folder / "scene.toml"), "camera", detector=None)
+
+
+def logged(harbour: Harbour, seed: int) -> Georeferencer:
+    """The same camera with the log of one vessel in place of its neighbours' tracks."""
+    moving = [boat for boat in harbour.boats if boat.path.moves]
+    seen = harbour.boxes(harbour.times(1.0), of="all").track_id
+    most = max(moving, key=lambda boat: int((seen == boat.identity).sum()))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_boxes(detections(harbour, seed), folder / "detections.csv")
+        write_fixes(harbour.fixes(ReceiverNoise(), boat=most), folder / "fixes.csv")
+        write_scene(
+            harbour,
+            folder / "scene.toml",
+            'detections = "detections.csv"\nfixes = "fixes.csv"\n',
+        )
+        return fit_scene(Scene.load(folder / "scene.toml"), "camera", detector=None)

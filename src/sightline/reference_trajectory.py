@@ -43,7 +43,8 @@ class ReferenceStates:
     Attributes:
         east_north_m: (N, 2) float64, metres; NaN where the log does not tell.
         velocity_mps: (N, 2) float64, east and north; NaN likewise.
-        sigma_m: (N,) float64, standard deviation of the interpolation, metres; 0 on a fix.
+        sigma_m: (N,) float64, standard deviation of the interpolation, metres; 0 on a fix that does
+            not tell its own.
         fix_time_utc_s: (N, 2) float64, times of the fixes on either side; NaN likewise.
     """
 
@@ -66,16 +67,23 @@ class ReferenceTrajectory:
         time_utc_s: (K,) float64, strictly increasing.
         east_north_m: (K, 2) float64, metres.
         velocity_mps: (K, 2) float64, as reported; NaN where a fix tells none.
+        fix_sigma_m: (K,) float64, standard deviation of each fix along either axis, as of tracks
+            of other cameras; None where nobody tells it.
     """
 
     name: str
     time_utc_s: FloatArray
     east_north_m: FloatArray
     velocity_mps: FloatArray
+    fix_sigma_m: FloatArray | None = None
 
     @classmethod
     def of(
-        cls, fixes: Fixes, plane: LocalPlane, velocity_mps: FloatArray | None = None
+        cls,
+        fixes: Fixes,
+        plane: LocalPlane,
+        velocity_mps: FloatArray | None = None,
+        fix_sigma_m: FloatArray | None = None,
     ) -> ReferenceTrajectory:
         """The trajectory of a log.
 
@@ -83,6 +91,8 @@ class ReferenceTrajectory:
             fixes: The log.
             plane: Of the path.
             velocity_mps: (N, 2) over ground as the fixes reported it, NaN where they did not.
+            fix_sigma_m: (N,) standard deviation of each fix, where velocities are told; None:
+                nobody tells it.
         """
         if velocity_mps is None or not np.isfinite(velocity_mps).any():
             log, _ = without_leaps(fixes, plane)
@@ -90,7 +100,9 @@ class ReferenceTrajectory:
             return cls(fixes.name, log.time_utc_s, place, np.full((len(log), 2), np.nan))
         place = np.stack(plane.to_plane(fixes.latitude_deg, fixes.longitude_deg), axis=1)
         times, first = np.unique(fixes.time_utc_s, return_index=True)
-        return cls(fixes.name, times, place[first], np.asarray(velocity_mps, dtype=float)[first])
+        sigma_m = None if fix_sigma_m is None else fix_sigma_m[first]
+        velocity = np.asarray(velocity_mps, dtype=float)[first]
+        return cls(fixes.name, times, place[first], velocity, sigma_m)
 
     def smooth_velocity(self, time_utc_s: ArrayLike) -> FloatArray:
         """(N, 2) velocity over some seconds, free of the noise of single fixes.
@@ -150,6 +162,9 @@ class ReferenceTrajectory:
         slope = (1.0 - 2.0 * u) * ((1.0 - u) * bend + u * twist) + u * (1.0 - u) * (twist - bend)
         velocity[rows] = chord + slope / span
         sigma[rows] = (_UNTOLD_MPS2 * span**2 * u * (1.0 - u))[:, 0]
+        if self.fix_sigma_m is not None:
+            own = np.interp(times[rows], self.time_utc_s, self.fix_sigma_m)
+            sigma[rows] = np.hypot(sigma[rows], own)
         return ReferenceStates(place, velocity, sigma, around)
 
     @cached_property

@@ -318,7 +318,7 @@ def test_two_runs_into_one_folder_are_refused(
     [
         ("", "cameras is missing"),
         ("cameras = []\n", "cameras: list should have at least 1 item"),
-        (CAMERA, r"cameras\[1\]\.recordings is missing"),
+        (CAMERA, r"cameras\[1\]: give recordings, that batch tracks"),
         (CAMERA + ONE + "fps = 2\n", r"unknown key cameras\[1\]\.fps; known are name, model"),
         (CAMERA + "recordings = [{ sauce = 1 }]\n", "sauce"),
         (CAMERA + 'recordings = ["none/*.mp4"]\n', r"camera a: none/\*\.mp4 matches no file"),

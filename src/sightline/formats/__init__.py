@@ -44,6 +44,7 @@ from sightline.formats.mfjson import mfjson_track_writer
 from sightline.formats.mot import iter_mot, mot_box_writer, write_mot
 from sightline.formats.nmea import read_nmea
 from sightline.formats.parquet import parquet_track_writer, read_parquet_table
+from sightline.formats.track_logs import holds_tracks, track_logs
 from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
 from sightline.formats.water_levels import read_water_levels
 from sightline.geodesy import LocalPlane
@@ -59,6 +60,7 @@ __all__ = [
     "atomic_path",
     "box_writer",
     "holds_ais",
+    "holds_tracks",
     "is_log_table",
     "iter_boxes",
     "read_ais",
@@ -72,6 +74,7 @@ __all__ = [
     "read_headings",
     "read_horizons_csv",
     "read_lines",
+    "read_track_logs",
     "read_tracks",
     "read_water_levels",
     "read_zones",
@@ -379,3 +382,14 @@ def read_tracks(
         tally.count("tracks", len(found))
         tally.count("points", sum(len(track) for track in found))
     return found
+
+
+def read_track_logs(
+    path: str | os.PathLike[str], *, tally: Tally | None = None
+) -> tuple[AisVessel, ...]:
+    """The logs that tracks of other cameras are to one that has none, one a target that moves.
+
+    Raises:
+        InputError: As `read_tracks`, a track does not say how unsure it is, or none moves.
+    """
+    return track_logs(path, read_tracks(path, tally=tally))

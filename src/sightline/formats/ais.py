@@ -70,10 +70,13 @@ class AisVessel:
         fixes: Its positions; their name is the MMSI.
         velocity_mps: (N, 2) float64, east and north, from the speed and the course over ground of
             each report; NaN where a report does not tell them.
+        sigma_m: (N,) float64, standard deviation of each position along either axis; None where
+            nobody tells it.
     """
 
     fixes: Fixes
     velocity_mps: FloatArray
+    sigma_m: FloatArray | None = None
 
 
 def read_ais(path: str | os.PathLike[str], *, tally: Tally | None = None) -> dict[int, Fixes]:

@@ -69,6 +69,8 @@ _WITHOUT_EDGE = replace(_ANY, bias_px=-4.0, bias_px_sigma=2.0)
 _UNLIKE_RENDERED_PX = 1.0
 _UNLIKE_RENDERED_SHARE = 0.5
 _LEAST_SIGMA_M = 0.1
+# Errors of a track by other cameras last: their models' until their target is elsewhere.
+_TRACK_ERROR_S = 60.0
 
 
 @on_one_thread
@@ -346,12 +348,27 @@ def fit_association(
             "No edge of the water was seen: how far the detector's boxes end off the water is "
             "assumed, and ranges depend on it."
         )
+    if any(scene[name].taught_by_tracks for name in association.offset_s):
+        more.append(_on_teachers(association, pairs))
     report = replace(
         fitted.report,
         asked=sum(len(watch.seen.boxes) for watch in association.watches),
         statements=(*more, *fitted.report.statements),
     )
     return replace(fitted, report=report)
+
+
+def _on_teachers(association: Association, pairs: Correspondences) -> str:
+    """What the tracks of other cameras were worth."""
+    known = pairs.certain()
+    sigma_m = float(np.median(known.fix_sigma_m)) if len(known) else float("nan")
+    vessels = len({(one.recording, one.vessel) for one in association.found})
+    return (
+        f"Taught by the tracks of other cameras: {vessels} of their targets were recognised, and "
+        f"{len(known)} of {len(pairs)} places are certain enough to learn from. The tracks state "
+        f"± {sigma_m:.1f} m for them (median, along either axis), which is carried into the "
+        "model's uncertainty."
+    )
 
 
 def _on_leaps(association: Association, scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
@@ -499,9 +516,13 @@ def recognised_correspondences(
         vessels.append(np.full(int(known.sum()), found.vessel))
         places.append(at.east_north_m[known])
         velocities.append(path.smooth_velocity(times)[known])
-        # What short gaps leave open is told by the noise that the fit estimates.
-        sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
-        around.append(at.fix_time_utc_s[known])
+        if path.fix_sigma_m is None:
+            # What short gaps leave open is told by the noise that the fit estimates.
+            sigmas.append(np.where(_long(at.fix_time_utc_s), at.sigma_m, 0.0)[known])
+            around.append(at.fix_time_utc_s[known])
+        else:
+            sigmas.append(at.sigma_m[known])
+            around.append(_alike(times[known]))
         recording = scene[found.recording]
         hull = recording.hull() if len(recording.logs()) == 1 else Hull()
         sizes.append(np.tile(hull.size_m, (int(known.sum()), 1)))
@@ -522,6 +543,12 @@ def recognised_correspondences(
         hull_m=np.concatenate(sizes),
         at_middle=np.concatenate(middles),
     )
+
+
+def _alike(time_utc_s: FloatArray) -> FloatArray:
+    """(N, 2) beginning and end of the stretch in which the error of a track is one and the same."""
+    begin = np.floor(time_utc_s / _TRACK_ERROR_S) * _TRACK_ERROR_S
+    return np.stack([begin, begin + _TRACK_ERROR_S], axis=1)
 
 
 def _long(fix_time_utc_s: FloatArray) -> BoolArray:
@@ -609,7 +636,7 @@ def _paths(
     for log in recording.logs():
         times = log.fixes.time_utc_s + zone_s
         if np.sum((times >= first) & (times <= last)) >= 2:
-            path = ReferenceTrajectory.of(log.fixes, plane, log.velocity_mps)
+            path = ReferenceTrajectory.of(log.fixes, plane, log.velocity_mps, log.sigma_m)
             out.append(replace(path, time_utc_s=path.time_utc_s + zone_s))
     return tuple(out)
 

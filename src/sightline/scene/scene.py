@@ -246,6 +246,11 @@ class Recording:
         """
         if self.fixes_path is None:
             raise InputError(f"recording {self.name}: has no log; give fixes = FILE")
+        if self.taught_by_tracks:
+            raise InputError(
+                f"{self.fixes_path}: is a file of tracks, and nobody says which is of the target; "
+                "they teach sightline fit of a recording with detections and without boxes"
+            )
         changed_ns = self.fixes_path.stat().st_mtime_ns
         fixes = _fixes(self.fixes_path, self.mmsi, self.stated_hull, changed_ns)
         if self.camera_place_deg is not None:
@@ -299,10 +304,20 @@ class Recording:
             raise InputError(f"{self.horizon_path}: {error}") from error
         return formats.read_horizons_csv(self.horizon_path, clock)
 
+    @property
+    def taught_by_tracks(self) -> bool:
+        """Whether its log is the tracks of other cameras, with their covariances."""
+        return (
+            self.fixes_path is not None
+            and self.mmsi is None
+            and formats.holds_tracks(self.fixes_path)
+        )
+
     def logs(self) -> tuple[formats.AisVessel, ...]:
         """The logs of whatever may be in view: of one target, or of all vessels of an AIS feed.
 
-        An AIS log of which no vessel is chosen (``mmsi``) is a feed.
+        An AIS log of which no vessel is chosen (``mmsi``) is a feed, and a file of tracks, of other
+        cameras, one as well.
 
         Raises:
             InputError: The recording has none, or it cannot be used.
@@ -310,6 +325,9 @@ class Recording:
         path = self.fixes_path
         if path is not None and self.mmsi is None and formats.holds_ais(path):
             return _feed(path, path.stat().st_mtime_ns)
+        if self.taught_by_tracks:
+            assert path is not None, "there are tracks"
+            return _track_logs(path, path.stat().st_mtime_ns)
         fixes = self.fixes()
         return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
 
@@ -666,6 +684,11 @@ def _water(path: Path, _modified_ns: int) -> WaterLevels:
 @lru_cache(maxsize=8)
 def _feed(path: Path, _modified_ns: int) -> tuple[formats.AisVessel, ...]:
     return tuple(formats.read_ais_feed(path).values())
+
+
+@lru_cache(maxsize=8)
+def _track_logs(path: Path, _modified_ns: int) -> tuple[formats.AisVessel, ...]:
+    return formats.read_track_logs(path)
 
 
 @lru_cache(maxsize=128)
