@@ -19,10 +19,14 @@ from _support.fleet import (
     as_cameras,
     camera_tracks,
     learned,
+    logged,
+    place_errors,
     score,
+    taught,
     true_places,
 )
 
+from sightline.errors import FitError
 from sightline.fusion import CameraTracks, FuseSettings, Fusion, fuse
 from sightline.simulation import SeveralSettings, harbours
 from sightline.simulation.harbour import DOCK
@@ -38,6 +42,7 @@ def main() -> None:
     parser.add_argument("--vessels", type=int, default=20)
     parser.add_argument("--duration", type=float, default=240.0)
     parser.add_argument("--share", type=float, default=FuseSettings.correlated_share)
+    parser.add_argument("--fourth", action="store_true", help="Calibrate a fourth camera, too.")
     options = parser.parse_args()
     rows = []
     print("seed  one target  IDF1 fused  best camera  RMSE m fused/better  ratio  in ellipse")
@@ -57,6 +62,14 @@ def main() -> None:
     mean = np.mean(rows, axis=0)
     print("mean  " + "  ".join(f"{value:.3f}" for value in mean))
     print(f"IDF1 gained: {mean[1] - mean[2]:.3f}")
+    if options.fourth:
+        print("a fourth camera, RMSE m of single boxes:")
+        print("seed  taught by the three  with drawn boxes and a log  without drawn boxes")
+        errors = []
+        for seed in range(options.first, options.first + options.seeds):
+            errors.append(fourth(seed, options.vessels, options.duration))
+            print(f"{seed:4d}  " + "  ".join(f"{value:.2f}" for value in errors[-1]), flush=True)
+        print("median  " + "  ".join(f"{v:.2f}" for v in np.nanmedian(errors, axis=0)))
 
 
 def world(seed: int, vessels: int, duration_s: float) -> tuple[list[CameraTracks], TruePlaces]:
@@ -67,6 +80,31 @@ def world(seed: int, vessels: int, duration_s: float) -> tuple[list[CameraTracks
         for k, view in enumerate(views)
     ]
     return as_cameras(views, tracks), true_places(views)
+
+
+def fourth(seed: int, vessels: int, duration_s: float) -> tuple[float, ...]:
+    """Errors of a fourth camera: taught by the others, by a log with drawn boxes, and without.
+
+    NaN where nobody could be recognised.
+    """
+    views = harbours(seed, SeveralSettings(cameras=4, vessels=vessels, duration_s=duration_s))
+    tracks = [
+        camera_tracks(view, learned(view, 100 * seed + k), 10 * seed + k + 1)
+        for k, view in enumerate(views[:3])
+    ]
+    fused = fuse(as_cameras(views[:3], tracks), DOCK)
+    last, own = views[3], 10 * seed + 4
+    out = []
+    for make in (
+        lambda: taught(last, fused.tracks, own),
+        lambda: learned(last, 100 * seed + 3),
+        lambda: logged(last, own),
+    ):
+        try:
+            out.append(float(np.sqrt(np.mean(place_errors(last, make(), seed) ** 2))))
+        except FitError:
+            out.append(float("nan"))
+    return tuple(out)
 
 
 def judge(truth: TruePlaces, cameras: list[CameraTracks], fused: Fusion) -> tuple[float, ...]:

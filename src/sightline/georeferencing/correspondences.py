@@ -49,6 +49,8 @@ class Correspondences:
             Absent: nowhere.
         at_middle: (N,) bool, whether each place is that of the middle of the hull. Absent: of a
             receiver somewhere on it.
+        of_tracks: Whether the places are those of tracks of other cameras, which are unsure
+            everywhere, rather than of a log.
     """
 
     boxes: Boxes
@@ -64,6 +66,7 @@ class Correspondences:
     fix_time_utc_s: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     hull_m: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     at_middle: BoolArray = field(default_factory=lambda: np.empty(0, dtype=np.bool_))
+    of_tracks: bool = False
 
     def __post_init__(self) -> None:
         if self.vessel.size == 0:

@@ -136,6 +136,12 @@ def check_log(path: Path, mmsi: int | None, plane: LocalPlane | None) -> FileChe
     """
     check = started(path, "log")
     with check.refusing():
+        if mmsi is None and formats.holds_tracks(path):
+            taught = formats.read_track_logs(path, tally=check.tally)
+            check.kind = "tracks"
+            check.facts["vessels"] = len(taught)
+            _describe_feed(check, {i: one.fixes for i, one in enumerate(taught)}, plane)
+            return check
         if mmsi is None and formats.holds_ais(path):
             feed = formats.read_ais_feed(path, tally=check.tally)
             check.kind = "AIS feed"
@@ -145,12 +151,6 @@ def check_log(path: Path, mmsi: int | None, plane: LocalPlane | None) -> FileChe
                 _describe_feed(check, logs, plane)
                 return check
             fixes = next(iter(logs.values()))
-        elif mmsi is None and formats.holds_tracks(path):
-            taught = formats.read_track_logs(path, tally=check.tally)
-            check.kind = "tracks"
-            check.facts["vessels"] = len(taught)
-            _describe_feed(check, {i: one.fixes for i, one in enumerate(taught)}, plane)
-            return check
         else:
             fixes = formats.read_fixes(path, mmsi=mmsi, tally=check.tally)
         _describe_log(check, fixes, plane)

@@ -348,27 +348,12 @@ def fit_association(
             "No edge of the water was seen: how far the detector's boxes end off the water is "
             "assumed, and ranges depend on it."
         )
-    if any(scene[name].taught_by_tracks for name in association.offset_s):
-        more.append(_on_teachers(association, pairs))
     report = replace(
         fitted.report,
         asked=sum(len(watch.seen.boxes) for watch in association.watches),
         statements=(*more, *fitted.report.statements),
     )
     return replace(fitted, report=report)
-
-
-def _on_teachers(association: Association, pairs: Correspondences) -> str:
-    """What the tracks of other cameras were worth."""
-    known = pairs.certain()
-    sigma_m = float(np.median(known.fix_sigma_m)) if len(known) else float("nan")
-    vessels = len({(one.recording, one.vessel) for one in association.found})
-    return (
-        f"Taught by the tracks of other cameras: {vessels} of their targets were recognised, and "
-        f"{len(known)} of {len(pairs)} places are certain enough to learn from. The tracks state "
-        f"± {sigma_m:.1f} m for them (median, along either axis), which is carried into the "
-        "model's uncertainty."
-    )
 
 
 def _on_leaps(association: Association, scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
@@ -542,6 +527,9 @@ def recognised_correspondences(
         fix_time_utc_s=np.concatenate(around),
         hull_m=np.concatenate(sizes),
         at_middle=np.concatenate(middles),
+        of_tracks=all(
+            path.fix_sigma_m is not None for watch in by_name.values() for path in watch.paths
+        ),
     )
 
 

@@ -323,11 +323,11 @@ class Recording:
             InputError: The recording has none, or it cannot be used.
         """
         path = self.fixes_path
+        # Fused tracks have MMSIs as well, of which tables of AIS are known.
+        if path is not None and self.taught_by_tracks:
+            return _track_logs(path, path.stat().st_mtime_ns)
         if path is not None and self.mmsi is None and formats.holds_ais(path):
             return _feed(path, path.stat().st_mtime_ns)
-        if self.taught_by_tracks:
-            assert path is not None, "there are tracks"
-            return _track_logs(path, path.stat().st_mtime_ns)
         fixes = self.fixes()
         return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
 
