@@ -17,7 +17,15 @@ from sightline.fusion import (
     intersect,
 )
 from sightline.fusion.bias import Differences, estimate
-from sightline.fusion.handover import End, bridge, successors
+from sightline.fusion.handover import End, Seen, bridge, handover_nats, successors
+from sightline.fusion.resampling import Piece, resampled
+from sightline.fusion.track_association import (
+    AssociationSettings,
+    Pair,
+    evidence,
+    joined,
+    without_changes,
+)
 from sightline.geodesy import LocalPlane
 from sightline.types import PointKind, Track
 
@@ -342,3 +350,106 @@ def test_ellipses_hold_what_they_say_for_independent_errors() -> None:
                 count += 1
     assert count >= 50
     assert 0.88 <= inside / count <= 1.0
+
+
+def test_the_bias_is_taken_off_the_tracks() -> None:
+    """Three cameras of which one is off: what it alone sees is where the others would have it."""
+    rng = np.random.default_rng(1)
+    paths = [
+        (tuple(rng.uniform(-200.0, 200.0, 2)), tuple(rng.uniform(-3.0, 3.0, 2))) for _ in range(8)
+    ]
+    right = tuple(straight(i, *path, (0, 100)) for i, path in enumerate(paths))
+    off = tuple(straight(i, *path, (0, 100), off=(6.0, -4.0)) for i, path in enumerate(paths))
+    alone = straight(99, (900.0, 900.0), (1.0, 1.0), (0, 100), off=(6.0, -4.0))
+    cameras = [
+        CameraTracks("a", right),
+        CameraTracks("b", right),
+        CameraTracks("c", right),
+        CameraTracks("d", (*off, alone)),
+    ]
+    fused = fuse(cameras, PLANE, FuseSettings(bias=BiasPrior(5.0, 0.1)))
+    (single,) = (track for track in fused.tracks if cameras_of(track) == {"d"})
+    at = single.time_utc_s - START
+    # A fourth of it is what the priors ascribe to the other three.
+    assert single.east_m - (900.0 + at) == pytest.approx(0.25 * 6.0, abs=0.3)
+    assert single.north_m - (900.0 + at) == pytest.approx(-0.25 * 4.0, abs=0.3)
+
+
+def test_moments_near_to_each_other_are_one_piece_of_evidence() -> None:
+    settings = AssociationSettings(interval_s=1.0, correlation_time_s=10.0)
+    often = AssociationSettings(interval_s=0.1, correlation_time_s=10.0)
+    pair = Pair(0, 1, 0, np.full(20, 3.0), np.zeros(20))
+    same = Pair(0, 1, 0, np.full(200, 3.0), np.zeros(200))
+    assert evidence(pair, settings) == pytest.approx(3.0 * (1.0 + 2.0))
+    assert evidence(same, often) == pytest.approx(evidence(pair, settings))
+
+
+def test_pieces_change_over_where_they_fit_better() -> None:
+    """The best evidence first joins two of different vessels, and all of it parts them again."""
+
+    def piece(camera: int, number: int) -> Piece:
+        found = resampled(straight(1, (0.0, 0.0), (1.0, 0.0), (0, 30)), camera, number, START, 1.0)
+        assert found is not None
+        return found
+
+    def pair(one: int, other: int, nats: float) -> Pair:
+        return Pair(one, other, 0, np.full(30, nats / 4.0), np.zeros(30))
+
+    pieces = [piece(0, 0), piece(1, 1), piece(2, 2), piece(1, 3)]
+    # 0-1 is the best pair; 2 is of one with 0, and cannot be with 1, but fits 3, as 0 does.
+    pairs = [pair(0, 1, 10.0), pair(0, 3, 9.0), pair(0, 2, 8.0), pair(1, 2, -6.0), pair(2, 3, 9.0)]
+    groups = joined(pieces, pairs, AssociationSettings())
+    assert [0, 2, 3] in groups
+    assert [1] in groups
+
+
+def test_a_stretch_between_two_targets_is_of_none() -> None:
+    whole = resampled(straight(1, (0.0, 0.0), (1.0, 0.0), (0, 60)), 0, 0, START, 1.0)
+    assert whole is not None
+    parts = [whole.part(0, 24), whole.part(25, 34), whole.part(35, 60)]
+    assert without_changes(parts, [[0], [1], [2]], 1.0) == [[0], [2]]
+    # It is kept where others see it, where its track goes on in one target, or for long.
+    assert without_changes(parts, [[0, 2], [1]], 1.0) == [[0, 2], [1]]
+    long = [whole.part(0, 9), whole.part(10, 49), whole.part(50, 60)]
+    assert without_changes(long, [[0], [1], [2]], 1.0) == [[0], [1], [2]]
+
+
+def test_handover_is_refused_beyond_the_gate_and_between_two_vessels() -> None:
+    wide, unsure = 4.0 * np.eye(2), 0.1 * np.eye(2)
+
+    def seen(time: float, east: float, mmsi: int | None = None) -> Seen:
+        end = End(time, np.array([east, 0.0]), np.array([2.0, 0.0]), wide, unsure)
+        return Seen(end, end, 0, 1, mmsi)
+
+    settings, none = HandoverSettings(), np.zeros((2, 2))
+
+    def nats(before: Seen, after: Seen) -> float:
+        # Where hardly anybody is, anything near at all would be the same vessel but for the gate.
+        return handover_nats(before, after, none, 1e-12, settings)
+
+    assert nats(seen(0.0, 0.0), seen(5.0, 10.0)) > 10.0
+    assert nats(seen(0.0, 0.0), seen(5.0, 40.0)) == -np.inf
+    assert nats(seen(0.0, 0.0), seen(61.0, 122.0)) == -np.inf
+    assert nats(seen(0.0, 0.0, 1), seen(5.0, 10.0, 2)) == -np.inf
+    assert nats(seen(0.0, 0.0, 1), seen(5.0, 40.0, 1)) > 900.0
+
+
+def test_resampling_goes_along_curves_and_knows_what_was_not_seen() -> None:
+    angle = 0.1 * np.array([0.0, 4.0, 8.0, 20.0])
+    track = Track(
+        track_id=1,
+        time_utc_s=START + np.array([0.0, 4.0, 8.0, 20.0]),
+        east_m=50.0 * np.sin(angle),
+        north_m=50.0 * np.cos(angle),
+        velocity_east_mps=5.0 * np.cos(angle),
+        velocity_north_mps=-5.0 * np.sin(angle),
+        covariance_m2=np.tile(np.eye(2), (4, 1, 1)),
+        velocity_covariance_m2ps2=np.tile(np.eye(2), (4, 1, 1)),
+        kind=np.zeros(4, dtype=np.int8),
+        plane=PLANE,
+    )
+    piece = resampled(track, 0, 0, START, 1.0)
+    assert piece is not None
+    at = np.arange(9)
+    assert np.hypot(*piece.place_m[at].T) == pytest.approx(np.full(9, 50.0), abs=0.02)
+    assert piece.known.tolist() == [True] * 9 + [False] * 11 + [True]
