@@ -33,27 +33,36 @@ from sightline.simulation.harbour import DOCK
 from sightline.types import Track
 
 CHI2_95 = 5.991
+FAR_M = 20.0
+"""A wider limit: what one camera alone sees at 500 m, a pixel moves by this."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--fourth", type=int, default=0, help="Seeds of a fourth camera.")
     parser.add_argument("--vessels", type=int, default=20)
     parser.add_argument("--duration", type=float, default=240.0)
     parser.add_argument("--share", type=float, default=FuseSettings.correlated_share)
-    parser.add_argument("--fourth", action="store_true", help="Calibrate a fourth camera, too.")
     options = parser.parse_args()
+    if options.seeds:
+        pictures(options)
+    if options.fourth:
+        fourths(options)
+
+
+def pictures(options: argparse.Namespace) -> None:
+    """Print what three cameras see together."""
+    names = ("one target", f"in {FAR_M:g} m", "IDF1", "best camera", "RMSE m", "better", "ratio")
+    print("seed  " + "  ".join((*names, "in ellipse")))
     rows = []
-    print("seed  one target  IDF1 fused  best camera  RMSE m fused/better  ratio  in ellipse")
-    for seed in range(options.first, options.first + options.seeds):
+    for seed in range(options.seeds):
         cameras, truth = world(seed, options.vessels, options.duration)
         begin = time.perf_counter()
         fused = fuse(cameras, DOCK, FuseSettings(correlated_share=options.share))
         took_s = time.perf_counter() - begin
-        row = judge(truth, cameras, fused)
-        rows.append(row)
-        said = "  ".join(f"{value:.3f}" for value in row)
+        rows.append(judge(truth, cameras, fused))
+        said = "  ".join(f"{value:.3f}" for value in rows[-1])
         print(
             f"{seed:4d}  {said}  ({took_s:.1f} s, scatter {fused.scatter:.2f}, "
             f"{len(fused.tracks)} targets, {fused.handovers} handovers)",
@@ -61,15 +70,18 @@ def main() -> None:
         )
     mean = np.mean(rows, axis=0)
     print("mean  " + "  ".join(f"{value:.3f}" for value in mean))
-    print(f"IDF1 gained: {mean[1] - mean[2]:.3f}")
-    if options.fourth:
-        print("a fourth camera, RMSE m of single boxes:")
-        print("seed  taught by the three  with drawn boxes and a log  without drawn boxes")
-        errors = []
-        for seed in range(options.first, options.first + options.seeds):
-            errors.append(fourth(seed, options.vessels, options.duration))
-            print(f"{seed:4d}  " + "  ".join(f"{value:.2f}" for value in errors[-1]), flush=True)
-        print("median  " + "  ".join(f"{v:.2f}" for v in np.nanmedian(errors, axis=0)))
+    print(f"IDF1 gained: {mean[2] - mean[3]:.3f}")
+
+
+def fourths(options: argparse.Namespace) -> None:
+    """Print how well a fourth camera is calibrated by the three."""
+    print("a fourth camera, RMSE m of single boxes:")
+    print("seed  taught by the three  a log and drawn boxes  a log without drawn boxes")
+    rows = []
+    for seed in range(options.fourth):
+        rows.append(fourth(seed, options.vessels, options.duration))
+        print(f"{seed:4d}  " + "  ".join(f"{value:.2f}" for value in rows[-1]), flush=True)
+    print("median  " + "  ".join(f"{value:.2f}" for value in np.nanmedian(rows, axis=0)))
 
 
 def world(seed: int, vessels: int, duration_s: float) -> tuple[list[CameraTracks], TruePlaces]:
@@ -108,10 +120,15 @@ def fourth(seed: int, vessels: int, duration_s: float) -> tuple[float, ...]:
 
 
 def judge(truth: TruePlaces, cameras: list[CameraTracks], fused: Fusion) -> tuple[float, ...]:
-    """One target each, IDF1 fused and of the best camera, RMSE of both, ratio, in the ellipse."""
+    """The figures of a picture.
+
+    One target each within two limits, IDF1 fused and of the best camera, RMSE fused and of the
+    better camera, their ratio, and the share in the ellipse.
+    """
     found = score(truth, fused.tracks)
     best = max(score(truth, camera.tracks).idf1 for camera in cameras)
     once, errors, inside = overlap(truth, fused.tracks)
+    far = overlap(truth, fused.tracks, FAR_M)[0]
     singles = [overlap(truth, camera.tracks)[1] for camera in cameras]
     both = (truth.seen.sum(axis=2) >= 2) & np.isfinite(errors)
     # While a camera takes one vessel for another, its error says nothing of how well it measures.
@@ -129,10 +146,12 @@ def judge(truth: TruePlaces, cameras: list[CameraTracks], fused: Fusion) -> tupl
             better.append((rows.sum(), min(squares)))
             own.append((rows.sum(), np.mean(errors[rows, j] ** 2)))
     rms = [np.sqrt(np.average([v for _, v in x], weights=[n for n, _ in x])) for x in (own, better)]
-    return (once, found.idf1, best, rms[0], rms[1], rms[0] / rms[1], inside)
+    return (once, far, found.idf1, best, rms[0], rms[1], rms[0] / rms[1], inside)
 
 
-def overlap(truth: TruePlaces, tracks: tuple[Track, ...]) -> tuple[float, np.ndarray, float]:
+def overlap(
+    truth: TruePlaces, tracks: tuple[Track, ...], limit_m: float = MATCH_M
+) -> tuple[float, np.ndarray, float]:
     """Share of target-time with one track, (T, B) errors of the nearest, share in the ellipse.
 
     A vessel has one target where exactly one track is nearer than the limit to it, and to no other
@@ -153,7 +172,7 @@ def overlap(truth: TruePlaces, tracks: tuple[Track, ...]) -> tuple[float, np.nda
         # Whose it is, the track as a whole tells: the vessel that it is mostly nearest to.
         nearest = np.where(somewhere[index], distance, np.inf).argmin(axis=1)
         whose = np.bincount(nearest, minlength=place.shape[1]).argmax()
-        near = distance[np.arange(len(at)), nearest] < MATCH_M
+        near = distance[np.arange(len(at)), nearest] < limit_m
         np.add.at(count, (index[near], nearest[near]), 1)
         own = distance[:, whose]
         inverse = np.linalg.inv(one.covariance_m2[on])

@@ -309,8 +309,7 @@ def test_bridge_is_the_smoother_of_nearly_constant_velocity() -> None:
 
 
 def test_successors_are_one_to_one_with_the_largest_sum() -> None:
-    nats = np.full((4, 4), -np.inf)
-    nats[0, 2], nats[0, 3], nats[1, 2] = 10.0, 9.0, 8.0
+    nats = {(0, 2): 10.0, (0, 3): 9.0, (1, 2): 8.0, (1, 3): -np.inf}
     assert successors(nats, 2.0) == {0: 3, 1: 2}
     assert successors(nats, 9.5) == {0: 2}
     assert successors(nats, 11.0) == {}

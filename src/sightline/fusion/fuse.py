@@ -319,7 +319,7 @@ def _handed_over(
     made = [_target([pieces[i] for i in rows], biases, cameras, settings) for rows in groups]
     seen = [_seen(one, settings.interval_s) for one in made]
     n = len(seen)
-    nats = np.full((n, n), -np.inf)
+    nats: dict[tuple[int, int], float] = {}
     begin = np.array([one.begin.time_s for one in seen])
     for i, before in enumerate(seen):
         lag_s = begin - before.end.time_s

@@ -7,6 +7,7 @@ Applications to Tracking and Navigation*, 2001, section 6.2).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,24 +141,30 @@ def handover_nats(
     return float(place + of_velocities(turned[None], velocity[None])[0])
 
 
-def successors(nats: FloatArray, least_nats: float) -> dict[int, int]:
+def successors(nats: Mapping[tuple[int, int], float], least_nats: float) -> dict[int, int]:
     """What goes on in what, one to one, with the largest sum of evidence (Kuhn-Munkres).
 
     Args:
-        nats: (N, N) evidence that the row goes on in the column.
+        nats: Evidence that the first of two goes on in the second, where there is any.
         least_nats: Less counts for nothing.
     """
-    rows, columns = np.nonzero(nats > least_nats)
-    n = len(nats)
-    if not rows.size:
+    told = [pair for pair, own in nats.items() if own > least_nats]
+    if not told:
         return {}
+    rows, columns = np.array(told).T
+    n = int(max(rows.max(), columns.max())) + 1
     links = coo_matrix((np.ones(rows.size), (rows, columns + n)), shape=(2 * n, 2 * n))
     part = connected_components(links, directed=False)[1]
     out = {}
     for number in np.unique(part[rows]):
         own = np.unique(rows[part[rows] == number])
         theirs = np.unique(columns[part[rows] == number])
-        gain = np.maximum(nats[np.ix_(own, theirs)] - least_nats, 0.0)
+        gain = np.array(
+            [
+                [max(nats.get((i, j), -np.inf) - least_nats, 0.0) for j in theirs.tolist()]
+                for i in own.tolist()
+            ]
+        )
         for i, j in zip(*linear_sum_assignment(gain, maximize=True), strict=True):
             if gain[i, j] > 0.0:
                 out[int(own[i])] = int(theirs[j])
