@@ -96,6 +96,8 @@ def test_a_file_of_tracks_is_a_log_of_what_moves(tmp_path: Path, harbour: Harbou
         loaded.recordings[0].fixes()
     looked = check(tmp_path / "scene.toml")
     assert f"{len(logs)} vessels" in str(looked.to_dict())
+    # A run scores what it has found against a log.
+    assert "no run is scored against them" in str(looked.to_dict())
 
 
 def test_tracks_that_teach_nothing_are_refused(tmp_path: Path, harbour: Harbour) -> None:

@@ -208,7 +208,9 @@ def _staged(kind: ModelType, observations: Observations, seed: int) -> StagedFit
         )
         if wider is not None and kept:
             model, rows = wider, whole
-        statements.append(_on_gaps(pairs, rows))
+        # Places of tracks are unsure everywhere, and no gap makes them so.
+        if not pairs.of_tracks:
+            statements.append(_on_gaps(pairs, rows))
     estimated = None if full is None else full.camera_fit
     return StagedFit(model, rows, tuple(statements), estimated, first.rows)
 
@@ -389,19 +391,10 @@ def _far_away(observations: Observations) -> str:
 
 
 def _on_gaps(pairs: Correspondences, rows: IntArray) -> str:
-    """What is to be said of places that are unsure: in long gaps of the logs, or of tracks."""
+    """What is to be said of boxes in long gaps of the logs."""
     used: BoolArray = np.zeros(len(pairs), dtype=bool)
     used[rows] = True
     gaps = pairs.fix_sigma_m > 0.0
-    if pairs.of_tracks:
-        vessels = np.unique(np.char.add(pairs.recording[used], pairs.vessel[used])).size
-        taught_m = pairs.fix_sigma_m[used]
-        return (
-            f"Taught by the tracks of other cameras: {int(used.sum())} boxes of {vessels} targets. "
-            f"The tracks state ± {np.median(taught_m):.1f} m for their places (median, along "
-            f"either axis; at most {taught_m.max():.1f} m), which is carried into the model's "
-            "uncertainty."
-        )
     span_s = float(np.median(np.diff(pairs.fix_time_utc_s[gaps], axis=1)))
     off_m = pairs.fix_sigma_m[gaps & used]
     reach = f", unsure by up to {off_m.max():.1f} m" if off_m.size else ""

@@ -141,6 +141,10 @@ def check_log(path: Path, mmsi: int | None, plane: LocalPlane | None) -> FileChe
             check.kind = "tracks"
             check.facts["vessels"] = len(taught)
             _describe_feed(check, {i: one.fixes for i, one in enumerate(taught)}, plane)
+            check.problems.append(
+                f"{path}: tracks of other cameras teach a camera (sightline fit), and no run is "
+                "scored against them; give a run the log of one vessel"
+            )
             return check
         if mmsi is None and formats.holds_ais(path):
             feed = formats.read_ais_feed(path, tally=check.tally)

@@ -348,12 +348,25 @@ def fit_association(
             "No edge of the water was seen: how far the detector's boxes end off the water is "
             "assumed, and ranges depend on it."
         )
+    if pairs.of_tracks:
+        more.append(_on_teachers(association, pairs))
     report = replace(
         fitted.report,
         asked=sum(len(watch.seen.boxes) for watch in association.watches),
         statements=(*more, *fitted.report.statements),
     )
     return replace(fitted, report=report)
+
+
+def _on_teachers(association: Association, pairs: Correspondences) -> str:
+    """What the tracks of other cameras were worth."""
+    vessels = len({(one.recording, one.vessel) for one in association.found})
+    return (
+        f"Taught by the tracks of other cameras: {vessels} of their targets, {len(pairs)} boxes. "
+        f"The tracks state ± {np.median(pairs.fix_sigma_m):.1f} m for the places (median, along "
+        f"either axis; at most {pairs.fix_sigma_m.max():.1f} m), which is carried into the "
+        "model's uncertainty."
+    )
 
 
 def _on_leaps(association: Association, scene: Scene, plane: LocalPlane) -> tuple[str, ...]:
