@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sightline import InputError
-from sightline.scene.naming import name_control_points, name_file
+from sightline.scene.naming import name_control_points, name_file, state_number
 
 SCENE = """# Our dock, drawn by hand.
 [camera]  # a webcam
@@ -91,3 +91,42 @@ def test_control_points_are_named_and_forgotten(scene: Path) -> None:
         name_control_points(scene, "others.csv")
     name_control_points(scene, None)
     assert tomllib.loads(scene.read_text(encoding="utf-8")) == tomllib.loads(SCENE)
+
+
+def test_a_number_is_stated_changed_and_taken_out_again(scene: Path) -> None:
+    state_number(scene, "a", "clock_offset_s", 1.25)
+    assert tomllib.loads(scene.read_text())["recordings"][0]["clock_offset_s"] == 1.25
+    kept = scene.read_text().replace("= 1.25", "= 1.25   # by the church clock")
+    scene.write_text(kept, encoding="utf-8")
+    state_number(scene, "a", "clock_offset_s", -2.0)
+    state_number(scene, "b", "clock_offset_s", 7)
+    found = tomllib.loads(scene.read_text())["recordings"]
+    assert [one["clock_offset_s"] for one in found] == [-2.0, 7]
+    assert "= -2.0   # by the church clock\n" in scene.read_text()
+    state_number(scene, "a", "clock_offset_s", None)
+    state_number(scene, "b", "clock_offset_s", None)
+    state_number(scene, "b", "clock_offset_s", None)
+    assert scene.read_text(encoding="utf-8") == SCENE
+
+
+def test_a_number_with_its_deviation_is_replaced_as_a_whole(scene: Path) -> None:
+    text = SCENE.replace('frames = "b"', 'clock_offset_s = [3.0, 0.5] # s\nframes = "b"')
+    scene.write_text(text, encoding="utf-8")
+    state_number(scene, "b", "clock_offset_s", 2.5)
+    assert scene.read_text(encoding="utf-8") == text.replace("[3.0, 0.5]", "2.5")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'recordings = [{name = "a", frames = "a"}]\n',
+        SCENE.replace('frames = "a"', 'frames = "a"\nclock_offset_s = [\n3.0,\n0.5]'),
+    ],
+)
+def test_a_number_that_cannot_be_stated_is_to_be_stated_by_hand(scene: Path, text: str) -> None:
+    scene.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="by hand"):
+        state_number(scene, "a", "clock_offset_s", 1.0)
+    assert scene.read_text(encoding="utf-8") == text
+    with pytest.raises(InputError, match="has no recording 'c' any more"):
+        state_number(scene, "c", "clock_offset_s", 1.0)

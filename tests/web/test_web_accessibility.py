@@ -89,6 +89,10 @@ def test_the_page_of_drawing(
         page.press("c")
         page.until("!document.getElementById('points-section').hidden")
         assert violations(page, axe) == []
+        page.press("v")
+        page.until("!document.getElementById('check-section').hidden")
+        page.until("document.getElementById('check-model').textContent !== ''")
+        assert violations(page, axe) == []
 
 
 def test_a_violation_is_found(page: Browser, axe: str, tmp_path: Path) -> None:

@@ -46,6 +46,13 @@ def draw(
             metavar="NAME|none", help="Checks boxes that are followed: motion, harbour, FILE.onnx."
         ),
     ] = "none",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Model to hold against the pictures; absent: what fits the boxes so far.",
+        ),
+    ] = None,
     shore: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="GeoJSON of the shore, which the page's map shows."),
@@ -62,6 +69,7 @@ def draw(
     with signals.stoppable() as stop:
         # There is nothing to lose at any time.
         stop.begun = True
+        from sightline.georeferencing.georeferencer import load_model
         from sightline.labelling.drawing import Drawing
         from sightline.live.config import page_token
         from sightline.web.draw_server import DrawServer
@@ -70,12 +78,20 @@ def draw(
 
         server = DrawServer(serve, token=page_token(str(token_file) if token_file else None))
         land = None if shore is None else read_shore(shore)
+        fitted = None if model is None else load_model(model)
         name = _user() if annotator is None else annotator
         with (
             closing(Drawing(scene, recording, annotator=name, detector=_checker(detector))) as own,
             closing(server),
         ):
-            server.serve(Workbench(scene, own, shore=land))
+            bench = Workbench(
+                scene,
+                own,
+                shore=land,
+                model=fitted,
+                model_name="" if model is None else model.name,
+            )
+            server.serve(bench)
             say(f"{name} draws in recording {own.recording}: {server.url}")
             say("what is accepted is kept at once; Ctrl-C ends it")
             if not no_browser and _has_screen():

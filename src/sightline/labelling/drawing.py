@@ -16,7 +16,7 @@ from sightline.detection import Detector
 from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
 from sightline.labelling.advice import Advice
-from sightline.labelling.box_table import Box, BoxTable, TableRow
+from sightline.labelling.box_table import WAIT_S, Box, BoxTable, TableRow
 from sightline.labelling.expected_gain import spread_rows
 from sightline.labelling.following import LONGEST_STEP_S, Followed, follow_box, where_expected
 from sightline.labelling.logged_frames import LoggedFrames
@@ -24,6 +24,7 @@ from sightline.labelling.refit import Frames, Refits, Situation, expected_in, fr
 from sightline.labelling.snapping import Background
 from sightline.labelling.suggestions import by_information, by_spread
 from sightline.scene import Recording, Scene
+from sightline.scene.naming import state_number
 from sightline.types import FloatArray, Frame, IntArray
 from sightline.video.random_access import FramePictures
 
@@ -187,6 +188,36 @@ class Drawing:
         return self._recording.name
 
     @property
+    def logged(self) -> Recording:
+        """The recording with its log, by the clock that the scene states."""
+        return self._recording
+
+    def state_clock(self, offset_s: float | None) -> float | None:
+        """Write how far the camera's clock is ahead of the log's into the scene file.
+
+        Args:
+            offset_s: Seconds; None: it says nothing of the clock any more.
+
+        Returns:
+            What was stated before; None where nothing was.
+
+        Raises:
+            InputError: The scene file cannot be read or written, or a line cannot be changed in it
+                as it is written.
+        """
+        with self._lock:
+            prior = Scene.load(self._path)[self._recording.name].clock_prior
+            rounded = None if offset_s is None else round(float(offset_s), 3)
+            state_number(self._path, self._recording.name, "clock_offset_s", rounded, wait_s=WAIT_S)
+            self._scene = Scene.load(self._path)
+            self._recording = self._scene[self._recording.name]
+            self._time_utc_s = frame_times(self._recording, self._numbers)
+            self._logged = self._beside_log()
+            self._refits.forget_clocks()
+            self._refits.ask()
+        return prior.mean_s if prior.stated else None
+
+    @property
     def frame_size_px(self) -> tuple[int, int]:
         """Width and height of the pictures."""
         return self._size_px
@@ -219,6 +250,14 @@ class Drawing:
             return image
         painted = self._mask.painted([Frame(frame, math.nan, image)], self._recording.name)
         return next(iter(painted)).image_bgr
+
+    def time_utc_s(self, frame: int) -> float:
+        """When a frame was taken, by the log's clock as far as the scene states it; NaN: unknown.
+
+        Raises:
+            InputError: There is no such frame.
+        """
+        return float(self._time_utc_s[np.searchsorted(self._numbers, self._checked(frame))])
 
     def boxes(self) -> list[DrawnBox]:
         """All boxes of the logged target: drawn by anybody, then proposed; in order of frames."""

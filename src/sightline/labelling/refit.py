@@ -103,6 +103,11 @@ class Refits:
                 self._thread.start()
             self._condition.notify_all()
 
+    def forget_clocks(self) -> None:
+        """Look for the clocks anew with the next fit: what is stated of them has changed."""
+        with self._condition:
+            self._settled, self._settled_at = {}, 0
+
     def newest(self) -> tuple[Advice, Situation | None]:
         """What the newest fit that is finished says."""
         with self._condition:

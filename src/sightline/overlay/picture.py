@@ -139,8 +139,7 @@ class Overlay:
         self._log = None
         if found.fixes is not None:
             self._log = ReferenceTrajectory.of(found.fixes, model.plane)
-        sigma_m = self._settings.fixes_sigma_m
-        self._log_sigma_m = sigma_m or model.reference_sigma_m or POSITION_SIGMA_M
+        self._log_sigma_m = self._settings.fixes_sigma_m or log_sigma_m(model)
         self._key: tuple[float, ...] = ()
         self._view = WaterView.of(self._camera)
         self._layer: _Layer | None = None
@@ -384,6 +383,11 @@ class Overlay:
                     for i, text in enumerate(lines, 1):
                         write(image, text, left, top + i * step - 4.0, WHITE, scale)
                     return
+
+
+def log_sigma_m(model: Georeferencer) -> float:
+    """Standard deviation of a log along either axis, as the model knows it, metres."""
+    return model.reference_sigma_m or POSITION_SIGMA_M
 
 
 def still_camera(model: Georeferencer) -> Camera:

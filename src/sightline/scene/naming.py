@@ -1,4 +1,4 @@
-"""Adds the name of a file to a scene file, and changes nothing else of its text."""
+"""Adds a key to a scene file, and changes nothing else of its text."""
 
 from __future__ import annotations
 
@@ -42,24 +42,71 @@ def name_file(scene: Path, recording: str, key: str, file: str, *, wait_s: float
         with scene.open(encoding="utf-8", newline="") as opened:
             text = opened.read()
         if named is None:
-            text, named = _with_line(scene, text, numbers[0], key, file), file
+            text, named = _with_file(scene, text, numbers[0], key, file), file
         with temporary.open("w", encoding="utf-8", newline="") as written:
             written.write(text)
     return named
 
 
-def _with_line(scene: Path, text: str, number: int, key: str, file: str) -> str:
-    """The text of a scene file with a key more in one of its recordings."""
-    by_hand = InputError(
+def state_number(
+    scene: Path, recording: str, key: str, value: float | int | None, *, wait_s: float = 0.0
+) -> None:
+    """State a number in a recording's table, in the place of what is stated there.
+
+    Comments, order and all other keys stay as they are.
+
+    Args:
+        scene: The scene file.
+        recording: Name of the recording.
+        key: What is stated, as ``clock_offset_s``.
+        value: The number; None takes the line away.
+        wait_s: How long to wait for somebody else who writes the scene file.
+
+    Raises:
+        InputError: The scene file cannot be read or written, has no such recording, is written
+            in a way that the line cannot be changed, or would be none with it.
+    """
+    with atomic_path(scene, wait_s=wait_s) as temporary:
+        table = parse_scene_table(scene)
+        numbers = [i for i, one in enumerate(table.recordings) if one.name == recording]
+        if not numbers:
+            raise InputError(f"{scene}: has no recording {recording!r} any more")
+        with scene.open(encoding="utf-8", newline="") as opened:
+            text = opened.read()
+        before = tomllib.loads(text.removeprefix("\ufeff"))["recordings"][numbers[0]]
+        written = None if value is None else repr(value)
+        if key in before:
+            text = _with_other_line(scene, text, numbers[0], key, written)
+        elif written is not None:
+            text = _with_line(scene, text, numbers[0], key, written)
+        with temporary.open("w", encoding="utf-8", newline="") as file:
+            file.write(text)
+        # A number that no scene takes is refused here, with the key's own words.
+        parse_scene_table(temporary)
+
+
+def _with_file(scene: Path, text: str, number: int, key: str, file: str) -> str:
+    """The text of a scene file that names a file more in one of its recordings."""
+    if _BARE.fullmatch(file) is None:
+        raise _by_hand(scene, key, f'"{file}"')
+    return _with_line(scene, text, number, key, f'"{file}"')
+
+
+def _by_hand(scene: Path, key: str, written: str) -> InputError:
+    return InputError(
         f"{scene}: {key} cannot be added to its recordings as they are written; add the line {key} "
-        f'= "{file}" by hand'
+        f"= {written} by hand"
     )
+
+
+def _with_line(scene: Path, text: str, number: int, key: str, written: str) -> str:
+    """The text of a scene file with a key more in one of its recordings."""
     headers = list(_HEADER.finditer(text))
-    if _BARE.fullmatch(file) is None or len(headers) <= number:
-        raise by_hand
+    if len(headers) <= number:
+        raise _by_hand(scene, key, written)
     end = headers[number].end()
     ending = "\r\n" if text[:end].endswith("\r") else "\n"
-    line = f'{key} = "{file}"{ending}'
+    line = f"{key} = {written}{ending}"
     # A header may be the last line, and have no end.
     begun = text[end : end + 1] == "\n"
     at = end + 1 if begun else end
@@ -67,14 +114,43 @@ def _with_line(scene: Path, text: str, number: int, key: str, file: str) -> str:
     after = re.compile(r"[ \t]*name[ \t]*=[^\n]*\n").match(text, at)
     at = after.end() if after is not None else at
     longer = text[:at] + ("" if begun else ending) + line + text[at:]
+    return _checked(scene, text, longer, number, key, written)
+
+
+def _with_other_line(scene: Path, text: str, number: int, key: str, written: str | None) -> str:
+    """The text of a scene file with another value of a key that a recording has, or without it."""
+    headers = list(_HEADER.finditer(text))
+    if len(headers) <= number:
+        raise _by_hand(scene, key, written or "nothing")
+    begin = headers[number].end()
+    after = _TABLE.search(text, begin)
+    end = len(text) if after is None else after.start()
+    line = re.compile(
+        rf"^([ \t]*{key}[ \t]*=[ \t]*)[^\n#\r]*?([ \t]*(?:#[^\n]*)?\r?(?:\n|\Z))", re.M
+    )
+    found = line.search(text, begin, end)
+    if found is None:
+        raise _by_hand(scene, key, written or "nothing")
+    other = "" if written is None else f"{found[1]}{written}{found[2]}"
+    changed = text[: found.start()] + other + text[found.end() :]
+    return _checked(scene, text, changed, number, key, written)
+
+
+def _checked(
+    scene: Path, text: str, changed: str, number: int, key: str, written: str | None
+) -> str:
+    """The changed text of a scene file, if nothing but a key of a recording is another."""
+    by_hand = _by_hand(scene, key, written or "nothing")
     try:
         before = tomllib.loads(text.removeprefix("\ufeff"))
-        now = tomllib.loads(longer.removeprefix("\ufeff"))
+        now = tomllib.loads(changed.removeprefix("\ufeff"))
+        wanted = None if written is None else tomllib.loads(f"value = {written}")["value"]
     except tomllib.TOMLDecodeError as error:
         raise by_hand from error
-    if now["recordings"][number].pop(key, None) != file or now != before:
+    before["recordings"][number].pop(key, None)
+    if now["recordings"][number].pop(key, None) != wanted or now != before:
         raise by_hand
-    return longer
+    return changed
 
 
 _TABLE = re.compile(r"^[ \t]*\[", re.MULTILINE)

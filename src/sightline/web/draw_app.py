@@ -27,6 +27,13 @@ _Offset = Annotated[int, Query(ge=0, le=100_000)]
 _Size = Annotated[int, Query(ge=1, le=_LARGEST_CROP_PX)]
 _Pixel = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
 
+# A clock of another date is off by more, and mended in the scene's start_utc.
+_MOST_SECONDS = 2 * 86400
+_Seconds = Annotated[float, Field(ge=-_MOST_SECONDS, le=_MOST_SECONDS, allow_inf_nan=False)]
+_SecondsInQuery = Annotated[
+    float | None, Query(ge=-_MOST_SECONDS, le=_MOST_SECONDS, allow_inf_nan=False)
+]
+
 
 class _Request(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
@@ -59,6 +66,10 @@ class _PointNumber(_Request):
     number: Annotated[int, Field(ge=1, le=100_000)]
 
 
+class _ClockRequest(_Request):
+    clock_offset_s: _Seconds | None
+
+
 class _MovedPoint(_PointNumber, _PlaceRequest):
     pixel_px: Annotated[list[_Pixel], Field(min_length=2, max_length=2)]
 
@@ -86,6 +97,7 @@ def build_draw_app(bench: Workbench) -> FastAPI:
     _add_pictures(app, bench)
     _add_boxes(app, bench)
     _add_points(app, bench)
+    _add_fit(app, bench)
     return app
 
 
@@ -206,3 +218,31 @@ def _add_points(app: FastAPI, bench: Workbench) -> None:
     @app.post("/api/points/redo")
     def redo() -> Response:
         return shown(int(own.redo()))
+
+
+def _add_fit(app: FastAPI, bench: Workbench) -> None:
+    own = bench.fit
+
+    @app.get("/api/fit")
+    def about() -> Response:
+        return json_answer(own.about())
+
+    @app.get("/api/fit/{frame}/water")
+    def water(frame: _FrameInPath) -> Response:
+        return json_answer(own.water(frame))
+
+    @app.get("/api/fit/{frame}/log")
+    def log(frame: _FrameInPath, clock_offset_s: _SecondsInQuery = None) -> Response:
+        return json_answer(own.log(frame, clock_offset_s))
+
+    @app.get("/api/fit/{frame}/map")
+    def on_the_map(frame: _FrameInPath) -> Response:
+        return json_answer(own.on_the_map(frame))
+
+    @app.get("/rectified/{frame}.webp")
+    def rectified(frame: _FrameInPath) -> Response:
+        return Response(own.rectified(frame), 200, NO_STORE, "image/webp")
+
+    @app.put("/api/clock")
+    def clock(asked: _ClockRequest) -> Response:
+        return json_answer(own.state_clock(asked.clock_offset_s))

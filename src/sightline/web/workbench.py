@@ -21,8 +21,10 @@ from sightline.labelling.control_points import (
 from sightline.labelling.expected import TargetSize, expect, place_of
 from sightline.scene import Recording, Scene
 from sightline.text import encodable_text
+from sightline.web.fit_bench import FitBench
 
 if TYPE_CHECKING:
+    from sightline.georeferencing.georeferencer import Georeferencer
     from sightline.labelling.advice import Advice
     from sightline.labelling.drawing import Drawing, DrawnBox
 
@@ -36,6 +38,8 @@ class Workbench:
         scene: The scene file.
         drawing: The boxes of one of its recordings.
         shore: GeoJSON that the map shows, or None.
+        model: A model that is held against the pictures, instead of the newest fit.
+        model_name: What it is called.
 
     Raises:
         InputError: The scene cannot be used.
@@ -47,15 +51,16 @@ class Workbench:
         drawing: Drawing,
         *,
         shore: bytes | None = None,
+        model: Georeferencer | None = None,
+        model_name: str = "",
     ) -> None:
         loaded = Scene.load(scene)
         self.drawing = drawing
         self.points = PointBench(scene)
         self.shore = shore
         self._name = loaded.camera.name or scene.stem
-        self._recording = loaded[drawing.recording]
-        self._places_deg = _places(loaded, self._recording)
-        self._time_utc_s = {one.frame: one.time_utc_s for one in drawing.frames()}
+        self.fit = FitBench(drawing, model, model_name, self.points.newest)
+        self._places_deg = _places(loaded, loaded[drawing.recording])
 
     def about(self) -> dict[str, object]:
         """What does not change while it is served."""
@@ -102,14 +107,13 @@ class Workbench:
             frame: Its number.
         """
         nothing: dict[str, object] = {"box_px": None}
-        model = self.drawing.advice().georeferencer
-        time_utc_s = self._time_utc_s.get(frame, math.nan)
-        if model is None or not math.isfinite(time_utc_s):
-            return nothing
-        times = np.array([time_utc_s])
+        model, recording = self.drawing.advice().georeferencer, self.drawing.logged
         try:
-            levels = self._recording.water_levels()
-            place = place_of(self._recording, model, times)
+            times = np.array([self.drawing.time_utc_s(frame)])
+            if model is None or not np.isfinite(times).all():
+                return nothing
+            levels = recording.water_levels()
+            place = place_of(recording, model, times)
             found = expect(place, model, TargetSize(), None if levels is None else levels.at(times))
         except InputError:
             # It is a hint: what there is to be said of log and fit, the advice says.
@@ -139,6 +143,7 @@ class PointBench:
         # One fit at a time is enough for two cores.
         self._fitting = threading.Lock()
         self._asked = 0
+        self._fitted: Georeferencer | None = None
         try:
             self._sheet = ControlPointSheet(scene)
         except InputError as error:
@@ -149,6 +154,15 @@ class PointBench:
         """All points, and why there can be none."""
         points = [] if self._sheet is None else self._sheet.points()
         return {"points": [_point(one) for one in points], "error": encodable_text(self._refused)}
+
+    def newest(self) -> Georeferencer | None:
+        """The newest fit to the points; None where none is possible."""
+        if self._fitted is None:
+            try:
+                self.fit(left_out=False)
+            except InputError:
+                return None
+        return self._fitted
 
     def fit(self, *, left_out: bool) -> dict[str, object]:
         """What a fit makes of each point; ``stale`` where a newer one was asked for meanwhile.
@@ -168,6 +182,7 @@ class PointBench:
                 return {"points": [], "error": "", "stale": True}
             report = self._sheet.residuals(left_out=left_out)
             points = self._sheet.points()
+            self._fitted = report.georeferencer
         places = _fitted_places(report, points)
         return {
             "points": [

@@ -105,6 +105,30 @@ export class BaseMap {
     this.map.getSource("shore")?.setData(data);
   }
 
+  /**
+   * Lay a picture onto the water, beneath all else.
+   *
+   * @param {string} url Where it is.
+   * @param {number[][]} corners [longitude, latitude] from its upper left one clockwise.
+   * @param {number} opacity From 0 to 1.
+   */
+  setPicture(url, corners, opacity) {
+    const known = this.map.getSource("picture");
+    if (known) {
+      known.updateImage({ url, coordinates: corners });
+      return;
+    }
+    this.map.addSource("picture", { type: "image", url, coordinates: corners });
+    this.map.addLayer({
+      id: "picture", type: "raster", source: "picture",
+      paint: { "raster-opacity": opacity, "raster-fade-duration": 0 },
+    }, "shore");
+  }
+
+  fadePicture(opacity) {
+    if (this.map.getLayer("picture")) this.map.setPaintProperty("picture", "raster-opacity", opacity);
+  }
+
   /** Take the colours of the theme that is shown now. */
   repaint() {
     for (const { id, paint } of this.layers()) {

@@ -1,6 +1,7 @@
 // The page of drawing: boxes are drawn, followed and kept, and the fit says what it makes of them.
 
 import { Advice } from "/static/advice.mjs";
+import { Check } from "/static/check.mjs";
 import { TIMES, magnify } from "/static/magnifier.mjs";
 import { Points } from "/static/points.mjs";
 import { ask, askPicture, send } from "/static/server.mjs";
@@ -43,6 +44,15 @@ const points = new Points({
   },
   show: (marks) => {
     stage.points = marks;
+    stage.paint();
+  },
+  say,
+});
+const check = new Check({
+  frame: () => state.frame,
+  show: (lines, spots) => {
+    stage.lines = lines;
+    stage.spots = spots;
     stage.paint();
   },
   say,
@@ -100,6 +110,7 @@ async function goTo(frame) {
     look();
     state.shown = true;
     document.documentElement.dataset.ready = "true";
+    if (state.mode === "check") check.show();
     askExpected(frame);
     // The next one is there before it is asked for.
     const after = following(frame);
@@ -443,6 +454,10 @@ async function back(path, words) {
     await points.back(path === "/api/redo");
     return;
   }
+  if (state.mode === "check") {
+    if (path === "/api/undo") await check.back();
+    return;
+  }
   const texts = new Map(own().map((one) => [one.frame, JSON.stringify(one)]));
   await change("POST", path, {}, (told) => {
     stage.kind = "drawn";
@@ -483,6 +498,10 @@ function edited() {
 }
 
 function nudge(dx, dy) {
+  if (state.mode === "check") {
+    check.nudge(0.1 * dx);
+    return;
+  }
   if (state.mode === "points") {
     const [width, height] = state.scene.frame_size_px;
     const from = stage.point ?? [width / 2, height / 2];
@@ -521,19 +540,36 @@ function setPart(part) {
   element("part").value = part;
 }
 
-function setMode(mode) {
+const STAGE_LABELS = {
+  boxes: "The frame's picture: drag to draw a box",
+  points: "The frame's picture: choose a pixel",
+  check: "The frame's picture, with the log and the water drawn into it",
+};
+const SECTIONS = {
+  boxes: ["box-section", "advice-section"], points: ["points-section"], check: ["check-section"],
+};
+
+/** Go over to a mode; from there back to the boxes. */
+function setMode(asked) {
+  const mode = asked === state.mode ? "boxes" : asked;
   state.mode = mode;
   stage.mode = mode;
-  const inPoints = mode === "points";
-  element("mode").setAttribute("aria-pressed", String(inPoints));
-  element("box-section").hidden = inPoints;
-  element("advice-section").hidden = inPoints;
-  element("points-section").hidden = !inPoints;
-  stage.canvas.setAttribute("aria-label", inPoints
-    ? "The frame's picture: choose a pixel" : "The frame's picture: drag to draw a box");
-  if (inPoints) points.open();
+  element("mode").setAttribute("aria-pressed", String(mode === "points"));
+  element("check-mode").setAttribute("aria-pressed", String(mode === "check"));
+  for (const [name, ids] of Object.entries(SECTIONS)) {
+    for (const id of ids) element(id).hidden = name !== mode;
+  }
+  stage.canvas.setAttribute("aria-label", STAGE_LABELS[mode]);
+  if (mode === "points") points.open();
+  if (mode === "check") check.open();
   stage.paint();
   look();
+}
+
+function fade(by) {
+  const slider = element("opacity");
+  slider.value = Math.round(slider.valueAsNumber + 100 * by);
+  check.fade();
 }
 
 function showSettings() {
@@ -541,6 +577,7 @@ function showSettings() {
   element("letters").checked = settings.letters === "on";
   showTheme(settings.theme);
   points.repaint();
+  check.repaint();
   stage.paint();
 }
 
@@ -561,6 +598,11 @@ const KEYS = [
   ["+, -, 0", "larger, smaller, the whole picture"],
   ["t", "hatch where boxes are wanted"],
   ["c", "boxes or control points"],
+  ["v", "see it fit, or back to the boxes; there:"],
+  ["left, right", "the clock by 0.1 s; with Shift by 0.025, with Ctrl by one"],
+  ["r, w", "the clock as fitted; write it to the scene"],
+  ["1, 2, 3, 4", "log, rings, grid, horizon"],
+  ["o, O", "the picture on the map more opaque, less"],
   ["d", "light or dark"],
   ["Escape", "take back what is not kept"],
   ["?", "this list"],
@@ -581,8 +623,8 @@ const actions = {
     say(`arrow keys move ${PARTS.find(([name]) => name === state.part)[1]}`);
   },
   b: () => state.mode === "boxes" && newBox(),
-  Enter: () => (state.mode === "boxes" ? accept() : points.save()),
-  Delete: () => (state.mode === "boxes" ? remove() : points.remove()),
+  Enter: () => (state.mode === "boxes" ? accept() : state.mode === "points" && points.save()),
+  Delete: () => (state.mode === "boxes" ? remove() : state.mode === "points" && points.remove()),
   f: () => state.mode === "boxes" && follow(),
   x: () => state.mode === "boxes" && removeProposed(),
   z: () => back("/api/undo", "taken back"),
@@ -591,7 +633,16 @@ const actions = {
   "-": () => stage.zoom(1 / 1.5),
   0: () => stage.fit(),
   t: () => element("thin").click(),
-  c: () => setMode(state.mode === "boxes" ? "points" : "boxes"),
+  c: () => setMode("points"),
+  v: () => setMode("check"),
+  r: () => state.mode === "check" && element("clock-fit").click(),
+  w: () => state.mode === "check" && element("clock-write").click(),
+  o: () => state.mode === "check" && fade(0.1),
+  O: () => state.mode === "check" && fade(-0.1),
+  1: () => state.mode === "check" && element("show-log").click(),
+  2: () => state.mode === "check" && element("show-rings").click(),
+  3: () => state.mode === "check" && element("show-grid").click(),
+  4: () => state.mode === "check" && element("show-horizon").click(),
   d: () => {
     nextSetting(settings, choices, "theme");
     showSettings();
@@ -662,7 +713,7 @@ for (const [keys, words] of KEYS) {
   element("keys").append(term, what);
 }
 for (const [id, action] of [
-  ["mode", actions.c], ["undo", actions.z], ["redo", actions.y], ["theme", actions.d],
+  ["mode", actions.c], ["check-mode", actions.v], ["undo", actions.z], ["redo", actions.y], ["theme", actions.d],
   ["help-open", actions["?"]], ["previous", actions.p], ["next", actions.n],
   ["zoom-in", actions["+"]], ["zoom-out", actions["-"]], ["zoom-fit", actions[0]],
   ["accept", () => accept()], ["follow", follow], ["remove", remove], ["new", newBox],
@@ -744,4 +795,4 @@ async function begin() {
 begin();
 
 // For those who look, and for tests.
-globalThis.sightline = { stage, state, points, goTo };
+globalThis.sightline = { stage, state, points, check, goTo };

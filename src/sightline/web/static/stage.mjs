@@ -34,6 +34,8 @@ export class Stage extends EventTarget {
     this.points = [];
     this.point = null;
     this.hint = null;
+    this.lines = [];
+    this.spots = [];
     this.mode = "boxes";
     this.scale = 1;
     this.offset = [0, 0];
@@ -159,7 +161,7 @@ export class Stage extends EventTarget {
       }
       if (this.fingers.size > 2) return;
     }
-    if (event.button === 1 || event.button === 2) {
+    if (this.mode === "check" || event.button === 1 || event.button === 2) {
       this.drag = { kind: "pan", at, offset: [...this.offset] };
       return;
     }
@@ -209,7 +211,7 @@ export class Stage extends EventTarget {
     }
     if (!drag) {
       const grip = this.mode === "boxes" ? this.gripAt(at, REACH_CSS.mouse) : null;
-      this.canvas.style.cursor = grip === "move" ? "move" : grip ? `${cursorOf(grip)}-resize`
+      this.canvas.style.cursor = this.mode === "check" ? "grab" : grip === "move" ? "move" : grip ? `${cursorOf(grip)}-resize`
         : "crosshair";
     }
     this.tell("look");
@@ -323,6 +325,19 @@ export class Stage extends EventTarget {
     context.drawImage(
       this.bitmap, left, top, this.size[0] * this.scale, this.size[1] * this.scale,
     );
+    if (this.mode === "check") {
+      context.save();
+      context.beginPath();
+      context.rect(left, top, this.size[0] * this.scale, this.size[1] * this.scale);
+      context.clip();
+      const labels = [];
+      for (const one of this.lines) this.paintLine(context, one, labels);
+      for (const { box, name } of this.others) this.paintBox(context, box, LINES.other, [5, 3], name);
+      if (this.box) this.paintBox(context, this.box, LINES[this.kind], [], "");
+      for (const one of this.spots) this.paintSpot(context, one);
+      context.restore();
+      return;
+    }
     this.paintCells(context);
     if (this.mode === "points") {
       for (const one of this.points) this.paintPoint(context, one.pixel, one.chosen ? "#ffffff" : LINES.other, one.label);
@@ -380,6 +395,47 @@ export class Stage extends EventTarget {
       context.stroke();
     }
     if (name) label(context, name, x + 8, y - 6);
+  }
+
+  /** A line of the water, with a dark one beneath; named where there is room among `labels`. */
+  paintLine(context, { points, style, width, dash = [], label: text = "" }, labels) {
+    context.beginPath();
+    points.forEach((point, i) => {
+      const [x, y] = this.toCss(point);
+      if (i) context.lineTo(x, y);
+      else context.moveTo(x, y);
+    });
+    for (const [colour, wide, dashes] of [["rgba(0, 0, 0, 0.45)", width + 1.5, []], [style, width, dash]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = wide;
+      context.setLineDash(dashes);
+      context.stroke();
+    }
+    context.setLineDash([]);
+    if (!text) return;
+    const shown = points.map((point) => this.toCss(point)).filter(([x, y]) =>
+      x > 4 && y > 16 && x < this.canvas.clientWidth - 60 && y < this.canvas.clientHeight);
+    const left = Math.max(this.offset[0], 0);
+    const at = shown.find(([x]) => x >= left + 8);
+    if (!at || labels.some((y) => Math.abs(y - at[1]) < 16)) return;
+    labels.push(at[1]);
+    label(context, text, at[0], at[1] - 2);
+  }
+
+  /** A place of the log: a cross, or a dot for one of many. */
+  paintSpot(context, { pixel, style, label: text, small }) {
+    if (small) {
+      const [x, y] = this.toCss(pixel);
+      context.beginPath();
+      context.arc(x, y, 2.5, 0, 2 * Math.PI);
+      context.fillStyle = style;
+      context.strokeStyle = "rgba(0, 0, 0, 0.7)";
+      context.lineWidth = 1;
+      context.fill();
+      context.stroke();
+      return;
+    }
+    this.paintPoint(context, pixel, style, text);
   }
 
   /** Point down at where it is expected, and leave the boat itself to the eye. */
