@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from sightline.association import Association, associate
+from sightline.association.associate import weigh
 from sightline.association.evidence import clock_belief
 from sightline.association.observations import TrackObservations, observe
 from sightline.association.search import RecordingObservations
@@ -182,3 +183,31 @@ def test_a_belief_in_clocks_integrates_to_one() -> None:
     whole = np.trapezoid(density, offset_s)
     beyond = 1.0 / np.pi * np.arctan(0.5 * np.sqrt(2.0) / largest_s)
     assert whole == pytest.approx(1.0 - beyond, abs=1e-4)
+
+
+def test_what_is_refused_can_be_weighed_by_eye() -> None:
+    """Of two logs that explain it alike each is a candidate, at even odds with the other."""
+    logs = (log("one"), log("other", 60.0))
+    weighed = weigh([RecordingObservations("one", seen(), logs)], SIZE)
+    first, second, *rest = weighed
+    names = {each.vessel for one in (first, second) for each in one.association.found}
+    assert names == {"one", "other"}
+    assert first.evidence - second.evidence < 2.0
+    assert first.probability + second.probability > 0.99
+    turned = second.association.camera.heading_deg - first.association.camera.heading_deg
+    assert abs((turned + 180.0) % 360.0 - 180.0) == pytest.approx(60.0, abs=2.0)
+    # Odds are those of the evidence, with none of them at 0 nats.
+    nats = np.array([0.0, *(one.evidence for one in weighed)])
+    shares = 1.0 / np.exp(nats[None, :] - nats[:, None]).sum(axis=1)
+    assert [one.probability for one in weighed] == pytest.approx(shares[1:].tolist(), abs=1e-9)
+    assert [one.evidence for one in rest] == sorted((one.evidence for one in rest), reverse=True)
+
+
+def test_the_likeliest_that_is_weighed_is_the_one_that_is_told() -> None:
+    told = recognise(log("one"))
+    best = weigh([RecordingObservations("one", seen(), (log("one"),))], SIZE)[0]
+    assert best.evidence == pytest.approx(told.evidence)
+    assert best.association.offset_s == told.offset_s
+    assert [one.rows.tolist() for one in best.association.found] == [
+        one.rows.tolist() for one in told.found
+    ]

@@ -19,6 +19,7 @@ from sightline import InputError, Scene, fit
 from sightline.errors import OutputError
 from sightline.labelling import Drawing
 from sightline.labelling.box_table import BoxTable
+from sightline.types import Boxes
 
 BOX = (100.0, 300.0, 160.0, 330.25)
 
@@ -334,3 +335,48 @@ def test_boxes_drawn_one_by_one_fit_as_a_table_of_them(drawable: Drawable, tmp_p
     assert np.ptp(columns) > 0.7 * np.ptp(every)
     assert np.ptp(drawn) > 0.6 * drawable.count
     pd.read_csv(drawable.table)
+
+
+def test_boxes_that_somebody_recognised_are_labels_of_their_source(drawable: Drawable) -> None:
+    """All at once, beside what is drawn, and all taken back by one step."""
+    found = Boxes.of(
+        np.array([BOX, (110.0, 300.0, 170.0, 331.0), (1250.0, 300.0, 1290.0, 331.0)]),
+        frame=np.array([7, 8, 9]),
+        source="harbour/launch",
+    )
+    with opened(drawable) as drawing:
+        drawing.accept(7, BOX)
+        before = rows(drawable.table)
+        assert drawing.confirm(found) == 3
+        assert rows(drawable.table) == [
+            (7, 330.25, "ada"),
+            (7, 330.25, "harbour/launch"),
+            (8, 331.0, "harbour/launch"),
+            (9, 331.0, "harbour/launch"),
+        ]
+        labelled = Scene.load(drawable.scene)["dock"].boxes()
+        # What hung out of the picture ends at its edge.
+        assert labelled.xyxy_px[:, 2].max() == 1280.0
+        # Again, with other boxes: they replace those of the source, and no others.
+        drawing.confirm(found[np.array([0])].with_columns(xyxy_px=np.array([(1, 2, 3, 4.0)])))
+        assert rows(drawable.table)[1] == (7, 4.0, "harbour/launch")
+        assert drawing.undo()
+        assert drawing.undo()
+        assert rows(drawable.table) == before
+        assert drawing.redo()
+        assert len(rows(drawable.table)) == 4
+        for wrong in (np.array([7, 8, 10_000]), np.array([-1, -1, -1])):
+            with pytest.raises(InputError):
+                drawing.confirm(found.with_columns(frame=wrong))
+        assert len(rows(drawable.table)) == 4
+
+
+def test_what_somebody_else_changed_meanwhile_is_not_taken_back(drawable: Drawable) -> None:
+    found = Boxes.of(np.array([BOX, BOX]), frame=np.array([7, 8]), source="harbour")
+    with opened(drawable) as drawing:
+        drawing.confirm(found)
+        text = drawable.table.read_text(encoding="utf-8")
+        drawable.table.write_text(text.replace("8,100,", "8,101,"), encoding="utf-8")
+        with pytest.raises(InputError, match="changed by somebody else"):
+            drawing.undo()
+        assert len(rows(drawable.table)) == 2

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+import time
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,7 @@ from web_drawing import Hand, harbour, served, small_scene, truth, undrawn
 
 from sightline.geodesy import LocalPlane
 from sightline.labelling.drawing import Drawing
+from sightline.scene import Scene
 from sightline.simulation import SimulatedCamera
 from sightline.web.access import Guard
 from sightline.web.draw_app import build_draw_app
@@ -39,6 +41,16 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with browser(tmp_path_factory.mktemp("browser")) as one:
         one.size(1400, 900)
         yield one
+
+
+def opened(page: Browser, url: str) -> None:
+    # The page before it may still be asking a server that has ended.
+    page.call("Page.navigate", url="about:blank")
+    page.until("location.href === 'about:blank'")
+    page.complaints.clear()
+    page.requests.clear()
+    page.open(url)
+    page.until("sightline.state.shown")
 
 
 def drawn_scene(made: Path, folder: Path) -> tuple[Path, list[int]]:
@@ -195,9 +207,7 @@ def test_it_is_seen_and_the_clock_is_moved_by_keys_alone(
 ) -> None:
     scene, frames = drawn_scene(made, tmp_path / "scene")
     with served(scene) as server:
-        page.complaints.clear()
-        page.requests.clear()
-        page.open(server.url)
+        opened(page, server.url)
         page.until("sightline.state.shown && sightline.state.advice?.rmse_m != null")
         hand = Hand(page)
         hand.go_to(frames[8])
@@ -250,6 +260,90 @@ def test_it_is_seen_and_the_clock_is_moved_by_keys_alone(
         own = re.compile(rf"http://127\.0\.0\.1:{server._port}/|data:|blob:")
         assert [url for url in page.requests if not own.match(url)] == []
         assert page.complaints == []
+
+
+def undrawn_beside(made: Path, folder: Path, log: str) -> Path:
+    """The harbour without drawn boxes, with detections of all that is in view."""
+    scene = undrawn(made, folder, 'detections = "detections.csv"\n')
+    (folder / "detections.csv").symlink_to(made / "detections" / "01.csv")
+    (folder / "ais.nmea").symlink_to(made / "ais.nmea")
+    scene.write_text(scene.read_text().replace("target.gpx", log), encoding="utf-8")
+    return scene
+
+
+@pytest.mark.parametrize("log", ["target.gpx", "ais.nmea"])
+def test_whose_log_it_is_is_confirmed_by_keys_alone(
+    log: str, made: Path, page: Browser, tmp_path: Path
+) -> None:
+    """And the boxes that are labelled so are those of the boat that the simulation has logged."""
+    true = truth(made)
+    scene = undrawn_beside(made, tmp_path / "scene", log)
+    before = scene.read_text(encoding="utf-8")
+    with served(scene) as server:
+        opened(page, server.url)
+        page.press("l")
+        page.until(
+            "document.getElementById('whose-state').textContent.startsWith('All that moves')"
+        )
+        page.press("m")
+        page.until("sightline.whose.list.length > 0")
+        told = page.evaluate("sightline.whose.list")
+        assert [one["probability"] for one in told] == sorted(
+            (one["probability"] for one in told), reverse=True
+        )
+        vessels = [one["vessel"] for one in told]
+        at = vessels.index("target" if log == "target.gpx" else "211000001")
+        # Nothing is labelled before somebody says so.
+        assert not (tmp_path / "scene/boxes").exists()
+        page.press(str(at + 1))
+        page.until("sightline.state.shown && sightline.stage.lines.length > 0")
+        first = page.evaluate("sightline.state.frame")
+        page.press("n")
+        page.until(f"sightline.state.frame > {first} && sightline.state.shown")
+        page.press("Enter")
+        page.until("sightline.state.boxes.length > 0")
+        labelled = Scene.load(scene)["01"].boxes()
+        assert set(labelled.source) == {"detections"}
+        assert len(labelled) == len(told[at]["boxes"]) >= 10
+        off = [
+            np.abs(np.subtract(true[frame], box)).max()
+            for frame, box in zip(labelled.frame.tolist(), labelled.xyxy_px.tolist(), strict=True)
+            if frame in true
+        ]
+        assert len(off) >= 0.9 * len(labelled)
+        assert np.median(off) < 10.0
+        # The fit learns from them as from any others.
+        page.until("!sightline.state.advice.running && sightline.state.advice.rmse_m !== null")
+        assert page.evaluate("sightline.state.advice.rmse_m") < 8.0
+        mmsi = tomllib.loads(scene.read_text())["recordings"][0].get("mmsi")
+        assert mmsi == (None if log == "target.gpx" else 211000001)
+        page.press("z")
+        page.until("sightline.state.boxes.length === 0")
+        assert scene.read_text().replace('boxes = "boxes/01.csv"\n', "") == before
+        assert page.complaints == []
+
+
+def test_candidates_that_are_none_are_refused(tmp_path: Path) -> None:
+    scene = small_scene(tmp_path)
+    drawing = Drawing(scene, annotator="ada")
+    bench = Workbench(scene, drawing, detector="motion")
+    app = Guard(build_draw_app(bench), None, 8081)
+    with TestClient(app, base_url="http://127.0.0.1:8081") as client:
+        assert client.get("/api/candidates").json()["state"] == "idle"
+        for body in ({"number": 0}, {"number": -1}, {"number": "0"}, {}):
+            answer = client.post("/api/candidates/confirm", json=body)
+            assert answer.status_code == 422
+            assert "\n" not in answer.json()["reason"]
+        client.post("/api/candidates", json={})
+        until = time.monotonic() + 60.0
+        while (told := client.get("/api/candidates").json())["state"] == "running":
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        # Six pictures of noise show nothing that moves as a log says, and it is said why.
+        assert told["state"] == "failed" or told["candidates"] == []
+        assert "\n" not in told["reason"]
+    bench.whose.close()
+    drawing.close()
 
 
 def _text(page: Browser, name: str) -> str:

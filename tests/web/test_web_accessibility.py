@@ -19,6 +19,32 @@ pytestmark = pytest.mark.slow
 TAGS = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]
 
 
+CANDIDATES = {
+    "state": "done",
+    "doing": "",
+    "share": None,
+    "reason": "",
+    "feed": False,
+    "others": 0.2,
+    "candidates": [
+        {
+            "number": i,
+            "explanation": i,
+            "vessel": f"boat {i}",
+            "probability": 0.4,
+            "evidence": 3.0,
+            "match": 7.0,
+            "clock_offset_s": 0.2,
+            "seen": 20,
+            "sources": ["harbour"],
+            "boxes": [{"frame": 1, "box_px": [4.0, 5.0, 20.0, 30.0], "place_px": [12.0, 30.0]}],
+        }
+        for i in range(2)
+    ],
+}
+"""Two candidates, as the server tells them."""
+
+
 @pytest.fixture(scope="module")
 def axe() -> str:
     """The source of axe-core; the tests are skipped where there is none."""
@@ -92,6 +118,10 @@ def test_the_page_of_drawing(
         page.press("v")
         page.until("!document.getElementById('check-section').hidden")
         page.until("document.getElementById('check-model').textContent !== ''")
+        assert violations(page, axe) == []
+        page.press("l")
+        page.until("document.getElementById('whose-state').textContent !== ''")
+        page.evaluate(f"sightline.whose.take({json.dumps(CANDIDATES)})")
         assert violations(page, axe) == []
 
 

@@ -92,6 +92,22 @@ class Association:
 
 
 @dataclass(frozen=True, eq=False)
+class Weighed:
+    """An explanation that was weighed, however likely.
+
+    Attributes:
+        association: What it takes for the logged vessels, with its camera and clocks.
+        evidence: Log-likelihood ratio against no logged vessel in view, in nats.
+        probability: Of it among all that were weighed and that there is none, equally likely
+            before any data.
+    """
+
+    association: Association
+    evidence: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Judged:
     explanation: Explanation
     matches: list[Match]
@@ -117,26 +133,7 @@ def associate(
         FitError: What is seen cannot be told from something without a log, or two explanations
             are as good as each other.
     """
-    watches = tuple(watch for watch in watches if len(watch.seen) and watch.paths)
-    if not watches:
-        raise FitError("no recording has both boxes and a log, so nobody can be recognised")
-    feed = max(len(watch.paths) for watch in watches) > 4
-    starts = candidates(
-        watches,
-        image_size_px,
-        largest_offset_s=largest_offset_s,
-        count=_MOST_WITH_FEED if feed else _MOST_CANDIDATES,
-    )
-    refiner = Refiner(watches, image_size_px, largest_offset_s=largest_offset_s)
-    judged = [_judge(refiner, start, image_size_px, largest_offset_s) for start in starts]
-    judged.sort(key=lambda one: -one.evidence)
-    if judged[0].matches:
-        other = refiner.at_another_clock(judged[0].explanation, _SAME_OFFSET_S)
-        rival = None if other is None else _judge(refiner, other, image_size_px, largest_offset_s)
-        # One that ends where the best has ended is the same explanation.
-        if rival is not None and _differ(judged[0], rival):
-            judged.append(rival)
-            judged.sort(key=lambda one: -one.evidence)
+    watches, judged = _all_judged(watches, image_size_px, largest_offset_s)
     best = judged[0]
     belief = clock_belief(best.explanation, largest_offset_s)
     evidence = best.evidence + belief
@@ -159,6 +156,73 @@ def associate(
         )
     best = replace(best, evidence=evidence)
     return _summary(watches, image_size_px, best, float(runner_up + belief))
+
+
+@on_one_thread
+def weigh(
+    watches: Sequence[RecordingObservations],
+    image_size_px: tuple[int, int],
+    *,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+) -> tuple[Weighed, ...]:
+    """Weigh all explanations that say something else, likely or not, the likeliest first.
+
+    Where `associate` refuses, these are what somebody who looks may choose from.
+
+    Args:
+        watches: As for `associate`.
+        image_size_px: Width and height.
+        largest_offset_s: Largest clock offset.
+
+    Raises:
+        FitError: No recording has both boxes and a log.
+    """
+    watches, judged = _all_judged(watches, image_size_px, largest_offset_s)
+    apart: list[_Judged] = []
+    for one in judged:
+        if one.matches and all(_differ(other, one) for other in apart):
+            apart.append(one)
+    if not apart:
+        return ()
+    # As `associate` has it: between several clocks the data decides alone.
+    belief = clock_belief(apart[0].explanation, largest_offset_s)
+    apart = [replace(one, evidence=one.evidence + belief) for one in apart]
+    evidence = np.array([0.0, *(one.evidence for one in apart)])
+    weights = np.exp(evidence - evidence.max())
+    shares = (weights / weights.sum())[1:].tolist()
+    return tuple(
+        Weighed(_summary(watches, image_size_px, one, -np.inf), one.evidence, share)
+        for one, share in zip(apart, shares, strict=True)
+    )
+
+
+def _all_judged(
+    watches: Sequence[RecordingObservations],
+    image_size_px: tuple[int, int],
+    largest_offset_s: float,
+) -> tuple[tuple[RecordingObservations, ...], list[_Judged]]:
+    """The recordings that tell something, and all candidates, the likeliest first."""
+    watches = tuple(watch for watch in watches if len(watch.seen) and watch.paths)
+    if not watches:
+        raise FitError("no recording has both boxes and a log, so nobody can be recognised")
+    feed = max(len(watch.paths) for watch in watches) > 4
+    starts = candidates(
+        watches,
+        image_size_px,
+        largest_offset_s=largest_offset_s,
+        count=_MOST_WITH_FEED if feed else _MOST_CANDIDATES,
+    )
+    refiner = Refiner(watches, image_size_px, largest_offset_s=largest_offset_s)
+    judged = [_judge(refiner, start, image_size_px, largest_offset_s) for start in starts]
+    judged.sort(key=lambda one: -one.evidence)
+    if judged[0].matches:
+        other = refiner.at_another_clock(judged[0].explanation, _SAME_OFFSET_S)
+        rival = None if other is None else _judge(refiner, other, image_size_px, largest_offset_s)
+        # One that ends where the best has ended is the same explanation.
+        if rival is not None and _differ(judged[0], rival):
+            judged.append(rival)
+            judged.sort(key=lambda one: -one.evidence)
+    return watches, judged
 
 
 def _judge(

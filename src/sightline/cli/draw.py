@@ -43,7 +43,9 @@ def draw(
     detector: Annotated[
         str,
         typer.Option(
-            metavar="NAME|none", help="Checks boxes that are followed: motion, harbour, FILE.onnx."
+            metavar="NAME|none",
+            help="Checks boxes that are followed, and finds those among which logged vessels are "
+            "recognised: motion, harbour, FILE.onnx.",
         ),
     ] = "none",
     model: Annotated[
@@ -69,6 +71,7 @@ def draw(
     with signals.stoppable() as stop:
         # There is nothing to lose at any time.
         stop.begun = True
+        from sightline.detection import DEFAULT_DETECTOR
         from sightline.georeferencing.georeferencer import load_model
         from sightline.labelling.drawing import Drawing
         from sightline.live.config import page_token
@@ -80,8 +83,9 @@ def draw(
         land = None if shore is None else read_shore(shore)
         fitted = None if model is None else load_model(model)
         name = _user() if annotator is None else annotator
+        checker = _checker(detector)
         with (
-            closing(Drawing(scene, recording, annotator=name, detector=_checker(detector))) as own,
+            closing(Drawing(scene, recording, annotator=name, detector=checker)) as own,
             closing(server),
         ):
             bench = Workbench(
@@ -90,6 +94,7 @@ def draw(
                 shore=land,
                 model=fitted,
                 model_name="" if model is None else model.name,
+                detector=DEFAULT_DETECTOR if detector == "none" else detector,
             )
             server.serve(bench)
             say(f"{name} draws in recording {own.recording}: {server.url}")
@@ -97,6 +102,7 @@ def draw(
             if not no_browser and _has_screen():
                 webbrowser.open(server.url)
             stop.wait()
+            bench.whose.close()
             boxes = sum(box.accepted for box in own.boxes())
     say(f"{boxes} boxes in the table of recording {own.recording}")
 

@@ -12,7 +12,7 @@ import math
 import shutil
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -54,6 +54,13 @@ class TableRow:
     annotator: str
     confidence: float
     cells: tuple[str, ...]
+
+
+RowKey = tuple[int, str]
+"""A frame and an annotator."""
+
+Change = tuple[Sequence[TableRow], Sequence["TableRow | Box"]]
+"""Rows that stand in a table, and what is to stand there: rows as they were, or new boxes."""
 
 
 @dataclass(frozen=True)
@@ -162,22 +169,42 @@ class BoxTable:
         """
         with self._lock:
             expected = self.of(frame, annotator) if expected is None else expected
+            key = frame, annotator
+            return self.put_all({key: (expected, new)})[key]
+
+    def put_all(self, changes: Mapping[RowKey, Change]) -> dict[RowKey, tuple[TableRow, ...]]:
+        """Replace the rows of several frames and annotators, all at once or none.
+
+        Args:
+            changes: By frame and annotator, what has to stand there until then, and what stands
+                there then.
+
+        Returns:
+            What stands there now.
+
+        Raises:
+            InputError: As `put`.
+        """
+        with self._lock:
             if self.path is None:
                 self._begin()
             path = self.path
             assert path is not None, "it has just been made"
             with atomic_path(path, wait_s=WAIT_S) as temporary:
                 content = _read(path, self._size_px)
-                if content.of(frame, annotator) != expected:
+                for (frame, annotator), (expected, _) in changes.items():
+                    if content.of(frame, annotator) == tuple(expected):
+                        continue
                     self._content, self._seen = content, self._stamp(path)
                     raise InputError(
                         f"{path}: the box of {annotator or 'nobody'} in frame {frame} was changed "
                         "by somebody else meanwhile; look at it, and do it again"
                     )
-                content = _with(content, frame, annotator, new)
+                for (frame, annotator), (_, new) in changes.items():
+                    content = _with(content, frame, annotator, new)
                 temporary.write_text(content.text(), encoding="utf-8", newline="")
             self._content, self._seen = content, self._stamp(path)
-            return content.of(frame, annotator)
+            return {key: content.of(*key) for key in changes}
 
     def _begin(self) -> None:
         """Make an empty table that the scene names, or take the one that somebody else has made."""

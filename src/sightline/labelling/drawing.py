@@ -16,7 +16,7 @@ from sightline.detection import Detector
 from sightline.errors import InputError, OutputError
 from sightline.geodesy import LocalPlane
 from sightline.labelling.advice import Advice
-from sightline.labelling.box_table import WAIT_S, Box, BoxTable, TableRow
+from sightline.labelling.box_table import WAIT_S, Box, BoxTable, RowKey, TableRow
 from sightline.labelling.expected_gain import spread_rows
 from sightline.labelling.following import LONGEST_STEP_S, Followed, follow_box, where_expected
 from sightline.labelling.logged_frames import LoggedFrames
@@ -25,7 +25,7 @@ from sightline.labelling.snapping import Background
 from sightline.labelling.suggestions import by_information, by_spread
 from sightline.scene import Recording, Scene
 from sightline.scene.naming import state_number
-from sightline.types import FloatArray, Frame, IntArray
+from sightline.types import NO_FRAME, Boxes, FloatArray, Frame, IntArray
 from sightline.video.random_access import FramePictures
 
 NONE, DRAWN, PROPOSED = "none", "drawn", "proposed"
@@ -97,18 +97,16 @@ class _Step:
     """A change that can be undone.
 
     Attributes:
-        frame: Whose rows of the table it changed; None for none.
-        rows_before: These rows.
-        rows_after: These rows.
+        rows: By frame and annotator, the rows of the table before and after.
         before: Proposals of the frames that it changed.
         after: The same afterwards.
+        mmsi: Which vessel of an AIS log was chosen with it; None: that was none of it.
     """
 
-    frame: int | None
-    rows_before: tuple[TableRow, ...]
-    rows_after: tuple[TableRow, ...]
+    rows: Mapping[RowKey, tuple[tuple[TableRow, ...], tuple[TableRow, ...]]]
     before: Proposals
     after: Proposals
+    mmsi: int | None = None
 
 
 class Drawing:
@@ -209,12 +207,7 @@ class Drawing:
             prior = Scene.load(self._path)[self._recording.name].clock_prior
             rounded = None if offset_s is None else round(float(offset_s), 3)
             state_number(self._path, self._recording.name, "clock_offset_s", rounded, wait_s=WAIT_S)
-            self._scene = Scene.load(self._path)
-            self._recording = self._scene[self._recording.name]
-            self._time_utc_s = frame_times(self._recording, self._numbers)
-            self._logged = self._beside_log()
-            self._refits.forget_clocks()
-            self._refits.ask()
+            self._load_again()
         return prior.mean_s if prior.stated else None
 
     @property
@@ -287,7 +280,7 @@ class Drawing:
             before = self._table.of(number, self.annotator)
             after = self._table.put(number, self.annotator, [box], expected=before)
             self._skipped.discard(number)
-            self._did(number, before, after, {number: None})
+            self._did({(number, self.annotator): (before, after)}, {number: None})
             self._changed()
 
     def remove(self, frame: int) -> None:
@@ -302,12 +295,12 @@ class Drawing:
         number = self._checked(frame)
         with self._lock:
             if number in self._proposed:
-                self._did(None, (), (), {number: None})
+                self._did({}, {number: None})
                 return
             before = self._table.of(number, self.annotator)
             if before:
                 self._table.put(number, self.annotator, [], expected=before)
-                self._did(number, before, (), {})
+                self._did({(number, self.annotator): (before, ())}, {})
                 self._changed()
                 return
             others = {row.annotator for row in self._table.rows() if row.frame == number}
@@ -317,6 +310,56 @@ class Drawing:
                     f"and {self.annotator} removes only boxes of {self.annotator}"
                 )
             self._skipped.add(number)
+
+    def confirm(self, boxes: Boxes, mmsi: int | None = None) -> int:
+        """Write boxes that somebody has recognised as the logged target's into the table.
+
+        They keep their source for their annotator, since a detector's boxes have a bias of their
+        own. Frames in which that source has a box already get this one in its place, and no other
+        box is touched. One `undo` takes all of it back.
+
+        Args:
+            boxes: Of the recording, with frames.
+            mmsi: Which vessel of an AIS log it is, which the scene then states; None: the log is
+                of one vessel.
+
+        Returns:
+            How many were written.
+
+        Raises:
+            InputError: A frame or a box is none of the recording, none has a frame, or it cannot
+                be written.
+        """
+        chosen: dict[RowKey, Box] = {}
+        for frame, box, source in zip(
+            boxes.frame.tolist(), boxes.xyxy_px, boxes.source.tolist(), strict=True
+        ):
+            if frame == NO_FRAME:
+                continue
+            limits = np.tile(self._size_px, 2)
+            x1, y1, x2, y2 = np.clip(box, 0.0, limits).tolist()
+            chosen[self._checked(frame), source] = self._checked_box(frame, (x1, y1, x2, y2))
+        if not chosen:
+            raise InputError("none of these boxes says its frame, so none can be labelled")
+        with self._lock:
+            before = {key: self._table.of(*key) for key in chosen}
+            if mmsi is not None:
+                self._choose(mmsi)
+            try:
+                after = self._table.put_all(
+                    {key: (before[key], [box]) for key, box in chosen.items()}
+                )
+            except InputError:
+                if mmsi is not None:
+                    self._choose(None)
+                raise
+            self._did(
+                {key: (before[key], after[key]) for key in chosen},
+                {frame: None for frame, _ in chosen},
+                mmsi,
+            )
+            self._changed()
+        return len(chosen)
 
     def undo(self) -> bool:
         """Take the last change back.
@@ -331,7 +374,7 @@ class Drawing:
             if not self._done:
                 return False
             step = self._done[-1]
-            self._go(self._done, step.rows_after, step.rows_before, step.before)
+            self._go(self._done, back=True)
             self._undone.append(step)
             return True
 
@@ -348,7 +391,7 @@ class Drawing:
             if not self._undone:
                 return False
             step = self._undone[-1]
-            self._go(self._undone, step.rows_before, step.rows_after, step.after)
+            self._go(self._undone, back=False)
             self._done.append(step)
             return True
 
@@ -457,7 +500,7 @@ class Drawing:
                 sure = round(one.confidence, 4)
                 new[number] = DrawnBox(number, x1, y1, x2, y2, self.annotator, False, sure)
             if new:
-                self._did(None, (), (), new)
+                self._did({}, new)
             return [box for box in new.values() if box is not None]
 
     def _box_of(self, frame: int) -> FloatArray:
@@ -522,6 +565,9 @@ class Drawing:
     def _beside_log(self) -> LoggedFrames:
         """All frames beside the log, by the clocks as the scene has them."""
         recording, plane = self._recording, self._scene.plane
+        if recording.is_feed():
+            # Which of its vessels the boxes are of is still to be said.
+            recording = replace(recording, fixes_path=None)
         if plane is None and recording.fixes_path is not None:
             fixes = recording.fixes()
             if len(fixes):
@@ -544,41 +590,55 @@ class Drawing:
         self._last_rows = self._table.rows()
         self._refits.ask()
 
-    def _go(
-        self,
-        steps: list[_Step],
-        expected: tuple[TableRow, ...],
-        rows: tuple[TableRow, ...],
-        proposals: Proposals,
-    ) -> None:
-        """Make the last of some steps, which is then none of them any more."""
-        frame = steps[-1].frame
+    def _go(self, steps: list[_Step], *, back: bool) -> None:
+        """Take back, or make again, the last of some steps, which is then none of them any more."""
+        step = steps[-1]
         try:
-            if frame is not None:
-                self._table.put(frame, self.annotator, rows, expected=expected)
+            if step.rows:
+                self._table.put_all(
+                    {
+                        key: (after, before) if back else (before, after)
+                        for key, (before, after) in step.rows.items()
+                    }
+                )
                 self._changed()
+            if step.mmsi is not None:
+                self._choose(None if back else step.mmsi)
         except OutputError:
             raise
         except InputError:
             # What somebody else has changed is no longer ours to take back.
             steps.pop()
             raise
-        self._propose(proposals)
+        self._propose(step.before if back else step.after)
         steps.pop()
 
     def _did(
         self,
-        frame: int | None,
-        before: tuple[TableRow, ...],
-        after: tuple[TableRow, ...],
+        rows: Mapping[RowKey, tuple[tuple[TableRow, ...], tuple[TableRow, ...]]],
         proposals: Proposals,
+        mmsi: int | None = None,
     ) -> None:
         """Remember a change of the table, and make that of the proposals."""
         had = {number: self._proposed.get(number) for number in proposals}
         self._propose(proposals)
-        self._done.append(_Step(frame, before, after, had, dict(proposals)))
+        self._done.append(_Step(rows, had, dict(proposals), mmsi))
         del self._done[:-_MOST_STEPS]
         self._undone.clear()
+
+    def _choose(self, mmsi: int | None) -> None:
+        """State which vessel of an AIS log is the target, or none."""
+        state_number(self._path, self._recording.name, "mmsi", mmsi, wait_s=WAIT_S)
+        self._load_again()
+
+    def _load_again(self) -> None:
+        """Take what the scene file says by now of clock and log."""
+        self._scene = Scene.load(self._path)
+        self._recording = self._scene[self._recording.name]
+        self._time_utc_s = frame_times(self._recording, self._numbers)
+        self._logged = self._beside_log()
+        self._refits.forget_clocks()
+        self._refits.ask()
 
     def _propose(self, proposals: Proposals) -> None:
         for number, box in proposals.items():

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.association.associate import LEAST_LEAD, Association, associate
+from sightline.association.associate import (
+    LEAST_LEAD,
+    Association,
+    Weighed,
+    associate,
+    weigh,
+)
 from sightline.association.observations import TrackObservations, observe
 from sightline.association.search import RecordingObservations
 from sightline.camera.observations import Landmarks
@@ -164,6 +170,173 @@ def associate_scene(
         InputError: A file cannot be used, or no log overlaps its recording.
         FitError: Nobody can be recognised, or the scene does not say where its camera stands.
     """
+    seen_so = _observe_all(scene, detector, seen, largest_offset_s, progress)
+    refused: FitError | None = None
+    found: list[Association] = []
+    for zone_s in seen_so.zones_s:
+        watches = seen_so.watches(scene, zone_s)
+        if not watches:
+            continue
+        try:
+            found.append(
+                associate(watches, scene.image_size_px, largest_offset_s=seen_so.largest_offset_s)
+            )
+        except FitError as error:
+            refused = refused or FitError(f"{scene.path}: {error}{_sparse(watches)}")
+        if zone_s == 0.0 and found:
+            return found[0]
+        if len(found) == _MOST_ZONES:
+            break
+    if found:
+        return _likeliest(found)
+    if refused is not None:
+        raise refused
+    raise seen_so.without_log(scene)
+
+
+@dataclass(frozen=True, eq=False)
+class LogCandidate:
+    """A vessel in a recording that one explanation takes for a logged one.
+
+    Attributes:
+        explanation: Number of the explanation, from 0; those of one go together.
+        recording: Name of the recording.
+        vessel: Name of the log; an MMSI where it is of an AIS feed.
+        boxes: N boxes of it, thinned as a fit learns from them, in the order of time.
+        place_px: (N, 2) float64, where that explanation has the log's place in the picture at the
+            times of these; NaN where the log does not tell.
+        clock_offset_s: How far the explanation has the camera's clock ahead of the log's.
+        seen: How many boxes of the recording it takes for the vessel's.
+        evidence: Of the explanation, against no logged vessel in view, in nats.
+        probability: Of the explanation among all that were weighed, and none.
+        match: Log-likelihood ratio of this vessel's path, in nats.
+    """
+
+    explanation: int
+    recording: str
+    vessel: str
+    boxes: Boxes
+    place_px: FloatArray
+    clock_offset_s: float
+    seen: int
+    evidence: float
+    probability: float
+    match: float
+
+
+@on_one_thread
+def weigh_scene(
+    scene: Scene,
+    *,
+    detector: str | Detector | None = DEFAULT_DETECTOR,
+    seen: SceneDetections | None = None,
+    largest_offset_s: float = LARGEST_OFFSET_S,
+    progress: Progress | None = None,
+) -> tuple[LogCandidate, ...]:
+    """What recognition weighs in a scene, likely or not, the likeliest explanation first.
+
+    Args:
+        scene: As for `associate_scene`.
+        detector: As for `fit_scene`.
+        seen: As for `fit_scene`.
+        largest_offset_s: As for `fit_scene`.
+        progress: Told what is being done.
+
+    Returns:
+        None where nothing that is seen moves as a log says.
+
+    Raises:
+        InputError: As `associate_scene`.
+        FitError: The scene does not say where its camera stands, nothing moves, or no log is of
+            the time of what is seen.
+    """
+    seen_so = _observe_all(scene, detector, seen, largest_offset_s, progress)
+    tried = 0
+    for zone_s in seen_so.zones_s:
+        watches = seen_so.watches(scene, zone_s)
+        if not watches:
+            continue
+        found = weigh(watches, scene.image_size_px, largest_offset_s=seen_so.largest_offset_s)
+        if found:
+            return tuple(one for i, each in enumerate(found) for one in _candidates(scene, i, each))
+        tried += 1
+        if tried == _MOST_ZONES:
+            break
+    if not tried:
+        raise seen_so.without_log(scene)
+    return ()
+
+
+def _candidates(scene: Scene, number: int, weighed: Weighed) -> list[LogCandidate]:
+    """The vessels of an explanation."""
+    association = weighed.association
+    by_name = {watch.name: watch for watch in association.watches}
+    out = []
+    for found in association.found:
+        watch = by_name[found.recording]
+        path = next(path for path in watch.paths if path.name == found.vessel)
+        chosen = found.rows[_thinned(watch.seen.time_utc_s[found.rows])]
+        boxes = watch.seen.boxes[watch.seen.box[chosen]]
+        times = watch.seen.time_utc_s[chosen] + association.offset_s[found.recording]
+        east, north = path.at(times).east_north_m.T
+        out.append(
+            LogCandidate(
+                explanation=number,
+                recording=found.recording,
+                vessel=found.vessel,
+                boxes=boxes,
+                place_px=association.camera.project(east, north, watch.above_m[chosen]),
+                clock_offset_s=scene[found.recording].clock_offset_s
+                + association.ahead_s(found.recording),
+                seen=int(found.taken.sum()),
+                evidence=weighed.evidence,
+                probability=weighed.probability,
+                match=found.log_likelihood_ratio,
+            )
+        )
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Observed:
+    """What is seen in the recordings of a scene that have a log.
+
+    Attributes:
+        plane: At the camera.
+        boxes: By recording, boxes of anything.
+        observed: By recording, what recognition takes of them.
+        zones_s: Time zones of the camera's clock that are tried.
+        largest_offset_s: Largest clock offset.
+    """
+
+    plane: LocalPlane
+    boxes: Mapping[str, Boxes]
+    observed: Mapping[str, TrackObservations]
+    zones_s: tuple[float, ...]
+    largest_offset_s: float
+
+    def watches(self, scene: Scene, zone_s: float) -> list[RecordingObservations]:
+        return _watches(scene, self.plane, self.observed, self.largest_offset_s, zone_s)
+
+    def without_log(self, scene: Scene) -> FitError:
+        """What is to be said where no log is of the time of any boxes; raises what is clearer."""
+        for name, some in self.boxes.items():
+            if len(scene[name].logs()) == 1:
+                check_overlap(some.time_utc_s, scene[name].fixes(), f"recording {name}")
+        return FitError(
+            f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
+            "was; nobody can be recognised"
+        )
+
+
+def _observe_all(
+    scene: Scene,
+    detector: str | Detector | None,
+    seen: SceneDetections | None,
+    largest_offset_s: float,
+    progress: Progress | None,
+) -> _Observed:
+    """Look at the recordings of a scene; raises as `associate_scene`."""
     plane = scene.plane
     if scene.moves:
         raise FitError(
@@ -195,31 +368,8 @@ def associate_scene(
     if boxes and not any(map(len, observed.values())):
         raise FitError(f"{scene.path}: {NOTHING_MOVES}")
     tell("recognising the logged vessels", float("nan"))
-    refused: FitError | None = None
-    found: list[Association] = []
-    for zone_s in (0.0, *(() if stated else ZONES_S)):
-        watches = _watches(scene, plane, observed, largest_offset_s, zone_s)
-        if not watches:
-            continue
-        try:
-            found.append(associate(watches, scene.image_size_px, largest_offset_s=largest_offset_s))
-        except FitError as error:
-            refused = refused or FitError(f"{scene.path}: {error}{_sparse(watches)}")
-        if zone_s == 0.0 and found:
-            return found[0]
-        if len(found) == _MOST_ZONES:
-            break
-    if found:
-        return _likeliest(found)
-    if refused is not None:
-        raise refused
-    for name, some in boxes.items():
-        if len(scene[name].logs()) == 1:
-            check_overlap(some.time_utc_s, scene[name].fixes(), f"recording {name}")
-    raise FitError(
-        f"{scene.path}: no recording has boxes of anything while its log tells where a vessel "
-        "was; nobody can be recognised"
-    )
+    zones_s = (0.0, *(() if stated else ZONES_S))
+    return _Observed(plane, boxes, observed, zones_s, largest_offset_s)
 
 
 def _watches(

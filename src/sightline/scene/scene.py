@@ -331,6 +331,14 @@ class Recording:
         fixes = self.fixes()
         return (formats.AisVessel(fixes, np.full((len(fixes), 2), np.nan)),)
 
+    def is_feed(self) -> bool:
+        """Whether the log is of many vessels, and which of them is the target is not said.
+
+        Raises:
+            InputError: As `logs`.
+        """
+        return self.fixes_path is not None and self.mmsi is None and len(self.logs()) > 1
+
     def frames(self, *, apart_s: float = 0.0) -> Iterator[Frame]:
         """The frames, one at a time, with their times; NaN where nothing tells them.
 

@@ -66,6 +66,10 @@ class _PointNumber(_Request):
     number: Annotated[int, Field(ge=1, le=100_000)]
 
 
+class _CandidateRequest(_Request):
+    number: Annotated[int, Field(ge=0, le=10_000)]
+
+
 class _ClockRequest(_Request):
     clock_offset_s: _Seconds | None
 
@@ -98,6 +102,7 @@ def build_draw_app(bench: Workbench) -> FastAPI:
     _add_boxes(app, bench)
     _add_points(app, bench)
     _add_fit(app, bench)
+    _add_whose(app, bench)
     return app
 
 
@@ -246,3 +251,21 @@ def _add_fit(app: FastAPI, bench: Workbench) -> None:
     @app.put("/api/clock")
     def clock(asked: _ClockRequest) -> Response:
         return json_answer(own.state_clock(asked.clock_offset_s))
+
+
+def _add_whose(app: FastAPI, bench: Workbench) -> None:
+    own = bench.whose
+
+    @app.get("/api/candidates")
+    def shown() -> Response:
+        return json_answer(own.shown())
+
+    @app.post("/api/candidates")
+    def weigh() -> Response:
+        own.weigh()
+        return json_answer(own.shown())
+
+    @app.post("/api/candidates/confirm")
+    def confirm(asked: _CandidateRequest) -> Response:
+        count = own.confirm(asked.number)
+        return json_answer({**bench.state(), "count": count})

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.detection import DEFAULT_DETECTOR, Detector
 from sightline.errors import InputError
 from sightline.labelling.control_points import (
     ControlPointReport,
@@ -22,6 +23,7 @@ from sightline.labelling.expected import TargetSize, expect, place_of
 from sightline.scene import Recording, Scene
 from sightline.text import encodable_text
 from sightline.web.fit_bench import FitBench
+from sightline.web.whose_bench import WhoseBench
 
 if TYPE_CHECKING:
     from sightline.georeferencing.georeferencer import Georeferencer
@@ -40,6 +42,8 @@ class Workbench:
         shore: GeoJSON that the map shows, or None.
         model: A model that is held against the pictures, instead of the newest fit.
         model_name: What it is called.
+        detector: Finds the boxes among which logged vessels are recognised, where the scene has
+            none of them.
 
     Raises:
         InputError: The scene cannot be used.
@@ -53,12 +57,14 @@ class Workbench:
         shore: bytes | None = None,
         model: Georeferencer | None = None,
         model_name: str = "",
+        detector: str | Detector = DEFAULT_DETECTOR,
     ) -> None:
         loaded = Scene.load(scene)
         self.drawing = drawing
         self.points = PointBench(scene)
         self.shore = shore
         self._name = loaded.camera.name or scene.stem
+        self.whose = WhoseBench(scene, drawing, detector)
         self.fit = FitBench(drawing, model, model_name, self.points.newest)
         self._places_deg = _places(loaded, loaded[drawing.recording])
 

@@ -9,6 +9,7 @@ import {
   capital, keptSettings, nextSetting, showTheme, whenThemeChanges,
 } from "/static/settings.mjs";
 import { Stage, ordered } from "/static/stage.mjs";
+import { Whose } from "/static/whose.mjs";
 import { plain, time } from "/static/words.mjs";
 
 const element = (id) => document.getElementById(id);
@@ -48,7 +49,7 @@ const points = new Points({
   },
   say,
 });
-const check = new Check({
+const inPicture = {
   frame: () => state.frame,
   show: (lines, spots) => {
     stage.lines = lines;
@@ -56,6 +57,17 @@ const check = new Check({
     stage.paint();
   },
   say,
+};
+const check = new Check(inPicture);
+const whose = new Whose({
+  ...inPicture,
+  size: () => state.scene?.frame_size_px ?? [1, 1],
+  goTo,
+  confirmed: (told) => {
+    take(told);
+    takeBox();
+    stage.paint();
+  },
 });
 
 function say(text, word = "live") {
@@ -111,6 +123,7 @@ async function goTo(frame) {
     state.shown = true;
     document.documentElement.dataset.ready = "true";
     if (state.mode === "check") check.show();
+    if (state.mode === "whose") whose.paint();
     askExpected(frame);
     // The next one is there before it is asked for.
     const after = following(frame);
@@ -156,6 +169,10 @@ function following(frame) {
 }
 
 function step(way) {
+  if (state.mode === "whose") {
+    whose.step(way);
+    return;
+  }
   const list = stripFrames().map((one) => one.frame);
   if (!list.length) return;
   const i = list.indexOf(state.frame);
@@ -502,6 +519,7 @@ function nudge(dx, dy) {
     check.nudge(0.1 * dx);
     return;
   }
+  if (state.mode === "whose") return;
   if (state.mode === "points") {
     const [width, height] = state.scene.frame_size_px;
     const from = stage.point ?? [width / 2, height / 2];
@@ -544,16 +562,21 @@ const STAGE_LABELS = {
   boxes: "The frame's picture: drag to draw a box",
   points: "The frame's picture: choose a pixel",
   check: "The frame's picture, with the log and the water drawn into it",
+  whose: "The frame's picture, with a candidate for the logged vessel",
 };
 const SECTIONS = {
   boxes: ["box-section", "advice-section"], points: ["points-section"], check: ["check-section"],
+  whose: ["whose-section"],
 };
 
 /** Go over to a mode; from there back to the boxes. */
 function setMode(asked) {
   const mode = asked === state.mode ? "boxes" : asked;
   state.mode = mode;
-  stage.mode = mode;
+  // In both the picture is only looked at.
+  stage.mode = mode === "whose" ? "check" : mode;
+  stage.lines = stage.spots = [];
+  element("whose-mode").setAttribute("aria-pressed", String(mode === "whose"));
   element("mode").setAttribute("aria-pressed", String(mode === "points"));
   element("check-mode").setAttribute("aria-pressed", String(mode === "check"));
   for (const [name, ids] of Object.entries(SECTIONS)) {
@@ -562,6 +585,7 @@ function setMode(asked) {
   stage.canvas.setAttribute("aria-label", STAGE_LABELS[mode]);
   if (mode === "points") points.open();
   if (mode === "check") check.open();
+  if (mode === "whose") whose.open();
   stage.paint();
   look();
 }
@@ -603,6 +627,10 @@ const KEYS = [
   ["r, w", "the clock as fitted; write it to the scene"],
   ["1, 2, 3, 4", "log, rings, grid, horizon"],
   ["o, O", "the picture on the map more opaque, less"],
+  ["l", "whose log it is, or back to the boxes; there:"],
+  ["m", "weigh all that moves against the log"],
+  ["1 to 9, n, p", "show a candidate, its next frame, the one before"],
+  ["Enter", "it is the one that is shown: label it"],
   ["d", "light or dark"],
   ["Escape", "take back what is not kept"],
   ["?", "this list"],
@@ -623,7 +651,6 @@ const actions = {
     say(`arrow keys move ${PARTS.find(([name]) => name === state.part)[1]}`);
   },
   b: () => state.mode === "boxes" && newBox(),
-  Enter: () => (state.mode === "boxes" ? accept() : state.mode === "points" && points.save()),
   Delete: () => (state.mode === "boxes" ? remove() : state.mode === "points" && points.remove()),
   f: () => state.mode === "boxes" && follow(),
   x: () => state.mode === "boxes" && removeProposed(),
@@ -639,10 +666,8 @@ const actions = {
   w: () => state.mode === "check" && element("clock-write").click(),
   o: () => state.mode === "check" && fade(0.1),
   O: () => state.mode === "check" && fade(-0.1),
-  1: () => state.mode === "check" && element("show-log").click(),
-  2: () => state.mode === "check" && element("show-rings").click(),
-  3: () => state.mode === "check" && element("show-grid").click(),
-  4: () => state.mode === "check" && element("show-horizon").click(),
+  l: () => setMode("whose"),
+  m: () => state.mode === "whose" && element("weigh").click(),
   d: () => {
     nextSetting(settings, choices, "theme");
     showSettings();
@@ -659,6 +684,15 @@ const actions = {
   },
   "?": () => element("help").showModal(),
 };
+const SWITCHES = ["show-log", "show-rings", "show-grid", "show-horizon"];
+for (let i = 0; i < 9; i += 1) {
+  actions[i + 1] = () => {
+    if (state.mode === "whose") whose.choose(i);
+    else if (state.mode === "check" && SWITCHES[i]) element(SWITCHES[i]).click();
+  };
+}
+const ENTERS = { boxes: () => accept(), points: () => points.save(), whose: () => whose.confirm() };
+actions.Enter = () => ENTERS[state.mode]?.();
 actions.Backspace = actions.Delete;
 actions["="] = actions["+"];
 
@@ -713,7 +747,8 @@ for (const [keys, words] of KEYS) {
   element("keys").append(term, what);
 }
 for (const [id, action] of [
-  ["mode", actions.c], ["check-mode", actions.v], ["undo", actions.z], ["redo", actions.y], ["theme", actions.d],
+  ["mode", actions.c], ["check-mode", actions.v], ["whose-mode", actions.l],
+  ["undo", actions.z], ["redo", actions.y], ["theme", actions.d],
   ["help-open", actions["?"]], ["previous", actions.p], ["next", actions.n],
   ["zoom-in", actions["+"]], ["zoom-out", actions["-"]], ["zoom-fit", actions[0]],
   ["accept", () => accept()], ["follow", follow], ["remove", remove], ["new", newBox],
@@ -795,4 +830,4 @@ async function begin() {
 begin();
 
 // For those who look, and for tests.
-globalThis.sightline = { stage, state, points, check, goTo };
+globalThis.sightline = { stage, state, points, check, whose, goTo };
