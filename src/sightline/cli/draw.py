@@ -14,7 +14,7 @@ import typer
 
 from sightline import signals
 from sightline.cli.common import check_scene_is_there, say
-from sightline.cli.options import SceneArgument, detector_options
+from sightline.cli.options import BasemapOption, SceneArgument, detector_options
 
 if TYPE_CHECKING:
     from sightline.detection import Detector
@@ -59,6 +59,7 @@ def draw(
         Path | None,
         typer.Option(metavar="FILE", help="GeoJSON of the shore, which the page's map shows."),
     ] = None,
+    basemap: BasemapOption = None,
     no_browser: Annotated[
         bool, typer.Option("--no-browser", help="Only print where the page is.")
     ] = False,
@@ -72,6 +73,7 @@ def draw(
         # There is nothing to lose at any time.
         stop.begun = True
         from sightline.detection import DEFAULT_DETECTOR
+        from sightline.formats.tiles import open_tiles
         from sightline.georeferencing.georeferencer import load_model
         from sightline.labelling.drawing import Drawing
         from sightline.live.config import page_token
@@ -81,6 +83,7 @@ def draw(
 
         server = DrawServer(serve, token=page_token(str(token_file) if token_file else None))
         land = None if shore is None else read_shore(shore)
+        tiles = None if basemap is None else open_tiles(basemap)
         fitted = None if model is None else load_model(model)
         name = _user() if annotator is None else annotator
         checker = _checker(detector)
@@ -92,6 +95,7 @@ def draw(
                 scene,
                 own,
                 shore=land,
+                tiles=tiles,
                 model=fitted,
                 model_name="" if model is None else model.name,
                 detector=DEFAULT_DETECTOR if detector == "none" else detector,

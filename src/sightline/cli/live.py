@@ -19,6 +19,7 @@ from sightline.cli.common import check_model_is_there, say, say_aside
 from sightline.cli.defaults import DEFAULT_DETECTOR
 from sightline.cli.options import (
     AreaOption,
+    BasemapOption,
     BudgetOption,
     ClassesOption,
     ClockOption,
@@ -140,6 +141,7 @@ def live(
         Path | None,
         typer.Option(metavar="FILE", help="GeoJSON of the shore, which the page's map shows."),
     ] = None,
+    basemap: BasemapOption = None,
     log: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Log as JSON lines; - for standard error."),
@@ -169,7 +171,8 @@ def live(
         ("detector", {"enlarge": enlarge, "budget_ms": budget}),
         ("detector", {"classes": classes.split(",") if classes else None}),
         ("store", {"file": store}),
-        ("server", {"address": serve, "token_file": token_file, "shore": shore}),
+        ("server", {"address": serve, "token_file": token_file}),
+        ("server", {"shore": shore, "basemap": basemap}),
         ("ais", {"source": ais}),
         ("log", {"file": log}),
         ("feeds", {"nmea": nmea, "signalk": signalk, "cot": cot, "mqtt": mqtt}),
@@ -286,6 +289,7 @@ class _Session:
             read: Reads it.
         """
         from sightline.live.ais import AisReceiver
+        from sightline.live.on_the_map import PictureOnMap
         from sightline.live.run import EarlierRun, LiveRun
         from sightline.live.store import Keeper, KeptMoments
 
@@ -321,6 +325,7 @@ class _Session:
             server = self._opened_server(run.health, run.picture)
             watch = self._camera.boundaries
             server.hub.boundaries = None if watch is None else watch.geojson()
+            server.hub.on_the_map = PictureOnMap(self._model, run.newest, table.water_level_m)
             if table.store.file is not None:
                 server.hub.kept = KeptMoments(Path(table.store.file))
             run.add_feed("page", server)
@@ -595,6 +600,7 @@ class _Session:
             picture=picture,
             store=Path(table.store.file) if table.store.file else None,
             shore=Path(table.server.shore) if table.server.shore else None,
+            basemap=Path(table.server.basemap) if table.server.basemap else None,
         )
 
     def _tried_server(self) -> str:

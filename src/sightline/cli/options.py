@@ -96,6 +96,12 @@ ProviderOption = Annotated[
         help=f"What the network runs on: {', '.join(PROVIDERS)}; absent: a GPU where there is one.",
     ),
 ]
+BasemapOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="MBTiles or PMTiles that the page's map shows, pictures or vectors."
+    ),
+]
 ViewsOption = Annotated[
     str | None,
     typer.Option(

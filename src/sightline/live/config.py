@@ -74,6 +74,7 @@ class ServerTable(Table):
     address: str | None = None
     token_file: str | None = None
     shore: str | None = None
+    basemap: str | None = None
 
 
 class FeedsTable(Table):
@@ -134,6 +135,7 @@ _PATHS = (
     ("store", "file"),
     ("server", "token_file"),
     ("server", "shore"),
+    ("server", "basemap"),
     ("log", "file"),
     ("boundaries", "lines"),
     ("boundaries", "zones"),

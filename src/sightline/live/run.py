@@ -19,6 +19,7 @@ from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.ais import AisMatcher
 from sightline.live.boundaries import BoundaryWatch
 from sightline.live.lines import Lines
+from sightline.live.on_the_map import Newest
 from sightline.live.source import LiveFrame, Source, SourceEvent
 from sightline.live.state import LiveState, StateSettings
 from sightline.live.store import Keeper
@@ -310,6 +311,17 @@ class LiveRun:
             told["kept_utc_s"] = keeper.kept_utc_s if known else None
             told["moments_lost"] = keeper.lost
         return told
+
+    def newest(self) -> Newest | None:
+        """The last frame, masked, and how the camera lay; None before there is one."""
+        last, rotation = self._last, self._monitor.history.rotation
+        if last is None:
+            return None
+        image, moment = last
+        turned = np.full(3, np.nan)
+        if rotation is not None:
+            turned = rotation.at(np.array([moment.time_utc_s]))[0][0]
+        return Newest(image, turned)
 
     def picture(self) -> bytes | None:
         """The last frame as JPEG, masked, with boxes; None before there is one."""

@@ -13,7 +13,7 @@ from fastapi import FastAPI, Query, Response, WebSocket, WebSocketDisconnect
 
 from sightline.errors import InputError
 from sightline.web.hub import Hub, Kept, Listener, message
-from sightline.web.pages import NO_STORE, json_answer, new_app
+from sightline.web.pages import NO_STORE, about_tiles, add_basemap, json_answer, new_app
 
 _MOST_LISTENERS = 128
 _SEND_S = 10.0
@@ -31,6 +31,7 @@ def build_app(hub: Hub) -> FastAPI:
     app = new_app("index.html")
     _add_data(app, hub)
     _add_kept(app, hub)
+    add_basemap(app, lambda: hub.tiles)
 
     @app.websocket("/ws")
     async def stream(socket: WebSocket) -> None:
@@ -56,6 +57,8 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             "frame_size_px": size,
             "picture": hub.picture is not None,
             "shore": hub.shore is not None,
+            "basemap": about_tiles(hub.tiles),
+            "on_the_map": hub.on_the_map is not None and hub.on_the_map.possible,
             "boundaries": hub.boundaries is not None,
             "kept": hub.kept is not None,
         }
@@ -99,6 +102,20 @@ def _add_data(app: FastAPI, hub: Hub) -> None:
             # Boxes are in the pixels of the frame, and the picture may be smaller.
             headers["x-frame-size"] = "{}x{}".format(*newest.frame_size_px)
         return Response(taken, 200, headers, "image/jpeg")
+
+    @app.get("/api/rectified")
+    def rectified() -> Response:
+        told = None if hub.on_the_map is None else hub.on_the_map.about()
+        if told is None:
+            return json_answer({"reason": "no picture lies on the map"}, 404)
+        return json_answer(told)
+
+    @app.get("/rectified.webp")
+    def rectified_picture() -> Response:
+        made = None if hub.on_the_map is None else hub.on_the_map.picture()
+        if made is None:
+            return json_answer({"reason": "no picture lies on the map"}, 404)
+        return Response(made, 200, NO_STORE, "image/webp")
 
 
 def _add_kept(app: FastAPI, hub: Hub) -> None:

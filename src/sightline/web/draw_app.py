@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from sightline.errors import InputError, SightlineError
 from sightline.labelling.control_points import parse_position
 from sightline.text import xml_text
-from sightline.web.pages import NO_STORE, json_answer, new_app
+from sightline.web.pages import NO_STORE, add_basemap, json_answer, new_app
 from sightline.web.workbench import Workbench
 
 _JPEG_QUALITY = 92
@@ -103,6 +103,7 @@ def build_draw_app(bench: Workbench) -> FastAPI:
     _add_points(app, bench)
     _add_fit(app, bench)
     _add_whose(app, bench)
+    add_basemap(app, lambda: bench.tiles)
     return app
 
 

@@ -7,12 +7,11 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.labelling.fit_view import FitView, LoggedPlace
+from sightline.overlay.rectified import webp
 from sightline.text import encodable_text
 from sightline.types import FloatArray
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from sightline.labelling.drawing import Drawing
     from sightline.scene import Recording
 
-_WEBP_QUALITY = 82
 _NO_FIT = (
     "there is no fit yet to be looked at: draw boxes, give control points, or name a model "
     "(--model FILE)"
@@ -179,12 +177,6 @@ class FitBench:
 
     def _log_time_s(self, frame: int, view: FitView) -> float:
         return self._camera_time_s(frame) - view.clock_offset_s
-
-
-def webp(picture: NDArray[np.uint8]) -> bytes:
-    """A picture of three or four channels as WebP, which keeps opacities and is small."""
-    options = [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY]
-    return cv2.imencode(".webp", picture, options)[1].tobytes()
 
 
 def segments(points_px: FloatArray, size_px: tuple[int, int]) -> list[list[list[float]]]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
+from sightline.formats.tiles import Tiles
 from sightline.moment import Moment
 from sightline.text import encodable_text
 from sightline.web.memory import TrackMemory
@@ -27,6 +28,20 @@ class Kept(Protocol):
 
     def moments(self, from_utc_s: float, seconds: float, step_s: float) -> list[Moment]:
         """Moments of a part of the time, one a step."""
+
+
+class OnTheMap(Protocol):
+    """The newest picture as it lies on the map."""
+
+    @property
+    def possible(self) -> bool:
+        """Whether there can be one."""
+
+    def about(self) -> dict[str, object] | None:
+        """Where it lies; None where there is none."""
+
+    def picture(self) -> bytes | None:
+        """It, as WebP; None where there is none."""
 
 
 _SILENT_S = 30.0
@@ -96,6 +111,7 @@ class Hub:
         picture: The newest picture as JPEG; None where there is none.
         store: The file of what is kept, whose size is told.
         shore: GeoJSON of the user's, which the map shows.
+        tiles: A basemap of the user's, which it shows as well.
     """
 
     def __init__(
@@ -105,9 +121,11 @@ class Hub:
         picture: Callable[[], bytes | None] | None = None,
         store: Path | None = None,
         shore: bytes | None = None,
+        tiles: Tiles | None = None,
     ) -> None:
         self.picture = picture
-        self.shore = shore
+        self.shore, self.tiles = shore, tiles
+        self.on_the_map: OnTheMap | None = None
         self.store = store
         self.boundaries: Mapping[str, object] | None = None
         self.kept: Kept | None = None

@@ -5,10 +5,17 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from fastapi import FastAPI, Request, Response
+from fastapi import Path as InPath
+
+from sightline.errors import InputError
+from sightline.formats.tiles import LARGEST_ZOOM, RASTER, Tiles
+from sightline.text import encodable_text
 
 STATIC = Path(__file__).parent / "static"
 """The files of the pages."""
@@ -20,6 +27,15 @@ _TYPES = {
     ".svg": "image/svg+xml",
     ".txt": "text/plain; charset=utf-8",
 }
+# A picture of one transparent pixel, for where the file has none.
+_NO_TILE = bytes.fromhex(
+    "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000a494441"
+    "54081d63000100000500018a6dbc200000000049454e44ae426082"
+)
+_KEPT_A_WHILE = {"cache-control": "private, max-age=600"}
+_Zoom = Annotated[int, InPath(ge=0, le=LARGEST_ZOOM)]
+_Cell = Annotated[int, InPath(ge=0, lt=2**LARGEST_ZOOM)]
+
 NO_STORE = {"cache-control": "no-store"}
 """For what is another thing the next time."""
 
@@ -77,3 +93,41 @@ def new_app(front: str) -> FastAPI:
 def json_answer(value: object, status: int = 200) -> Response:
     """An answer in JSON, written in ASCII: names may hold what no encoding does."""
     return Response(json.dumps(value, allow_nan=False), status, NO_STORE, "application/json")
+
+
+def about_tiles(tiles: Tiles | None) -> dict[str, object] | None:
+    """What a page has to know of a basemap; None where there is none."""
+    if tiles is None:
+        return None
+    about = tiles.about
+    return {
+        "kind": about.kind,
+        "zooms": list(about.zooms),
+        "bounds_deg": list(about.bounds_deg),
+        "attribution": encodable_text(about.attribution),
+        "layers": [encodable_text(name) for name in about.layers],
+    }
+
+
+def add_basemap(app: FastAPI, tiles: Callable[[], Tiles | None]) -> None:
+    """Serve the tiles of a basemap.
+
+    Args:
+        app: The application.
+        tiles: Gives them; None where there is no basemap.
+    """
+
+    @app.get("/basemap/{zoom}/{x}/{y}")
+    def tile(zoom: _Zoom, x: _Cell, y: _Cell) -> Response:
+        own = tiles()
+        if own is None:
+            return json_answer({"reason": "no basemap was given"}, 404)
+        try:
+            found = own.tile(zoom, x, y)
+        except InputError as error:
+            return json_answer({"reason": str(error)}, 422)
+        if found is None:
+            # A map asks for what lies around as well, which is no mistake.
+            nothing = (_NO_TILE, "image/png") if own.about.kind == RASTER else (b"", "")
+            return Response(nothing[0], 200, _KEPT_A_WHILE, nothing[1] or None)
+        return Response(found[0], 200, _KEPT_A_WHILE, found[1])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from sightline import _optional
 from sightline.errors import InputError
+from sightline.formats.tiles import open_tiles
 from sightline.moment import Moment
 from sightline.web.access import Guard, is_loopback, parse_address
 from sightline.web.hub import Hub
@@ -187,6 +188,7 @@ class LiveServer(PageServer):
         picture: Callable[[], bytes | None] | None = None,
         store: Path | None = None,
         shore: Path | None = None,
+        basemap: Path | None = None,
     ) -> None:
         """Check what was asked for; `start` begins to serve.
 
@@ -198,14 +200,16 @@ class LiveServer(PageServer):
             picture: The newest picture as JPEG; None where there is none.
             store: The file of what is kept, whose size is told.
             shore: A GeoJSON file, which the map shows.
+            basemap: An MBTiles or PMTiles file, which it shows as well.
 
         Raises:
-            InputError: The address is none or needs a token, the file is no GeoJSON, or the
+            InputError: The address is none or needs a token, a file is none of its kind, or the
                 libraries are not installed.
         """
         super().__init__(address, token=token, shows="the camera")
         land = None if shore is None else read_shore(shore)
-        self.hub = Hub(health=health, picture=picture, store=store, shore=land)
+        tiles = None if basemap is None else open_tiles(basemap)
+        self.hub = Hub(health=health, picture=picture, store=store, shore=land, tiles=tiles)
 
     def publish(self, moment: Moment) -> None:
         """Show a moment; returns at once, and one that is slow loses the oldest."""

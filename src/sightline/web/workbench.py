@@ -23,9 +23,11 @@ from sightline.labelling.expected import TargetSize, expect, place_of
 from sightline.scene import Recording, Scene
 from sightline.text import encodable_text
 from sightline.web.fit_bench import FitBench
+from sightline.web.pages import about_tiles
 from sightline.web.whose_bench import WhoseBench
 
 if TYPE_CHECKING:
+    from sightline.formats.tiles import Tiles
     from sightline.georeferencing.georeferencer import Georeferencer
     from sightline.labelling.advice import Advice
     from sightline.labelling.drawing import Drawing, DrawnBox
@@ -40,6 +42,7 @@ class Workbench:
         scene: The scene file.
         drawing: The boxes of one of its recordings.
         shore: GeoJSON that the map shows, or None.
+        tiles: A basemap that the map shows, or None.
         model: A model that is held against the pictures, instead of the newest fit.
         model_name: What it is called.
         detector: Finds the boxes among which logged vessels are recognised, where the scene has
@@ -55,6 +58,7 @@ class Workbench:
         drawing: Drawing,
         *,
         shore: bytes | None = None,
+        tiles: Tiles | None = None,
         model: Georeferencer | None = None,
         model_name: str = "",
         detector: str | Detector = DEFAULT_DETECTOR,
@@ -62,7 +66,7 @@ class Workbench:
         loaded = Scene.load(scene)
         self.drawing = drawing
         self.points = PointBench(scene)
-        self.shore = shore
+        self.shore, self.tiles = shore, tiles
         self._name = loaded.camera.name or scene.stem
         self.whose = WhoseBench(scene, drawing, detector)
         self.fit = FitBench(drawing, model, model_name, self.points.newest)
@@ -76,6 +80,7 @@ class Workbench:
             "annotator": encodable_text(self.drawing.annotator),
             "frame_size_px": list(self.drawing.frame_size_px),
             "shore": self.shore is not None,
+            "basemap": about_tiles(self.tiles),
             "places_deg": [list(place) for place in self._places_deg],
         }
 

@@ -1,7 +1,8 @@
-// A map without tiles: water, the shore that was given, and lines of latitude and longitude.
+// The map: water, the tiles and the shore that were given, and lines of latitude and longitude.
 
 import * as maplibre from "/static/maplibre-gl.mjs";
 import { collection, graticule } from "/static/geometry.mjs";
+import { plain } from "/static/words.mjs";
 
 maplibre.setWorkerUrl("/static/maplibre-gl-worker.mjs");
 
@@ -44,6 +45,30 @@ function ground() {
   ];
 }
 
+const WATER = /water|ocean|sea|lake|river|bathy|depth/iu;
+const LINES = /road|transport|street|highway|rail|bound|ferry|contour|path/iu;
+
+/** How tiles are painted; of vectors by what their layers are called. */
+function tileLayers(about) {
+  if (about.kind === "raster") {
+    return [{ id: "tiles", type: "raster", source: "tiles", paint: { "raster-fade-duration": 0 } }];
+  }
+  const is = (kind) => ["==", ["geometry-type"], kind];
+  // Land first, and water above it; lines over both.
+  const areas = about.layers.filter((name) => !LINES.test(name));
+  areas.sort((one, other) => WATER.test(one) - WATER.test(other));
+  return [
+    ...areas.map((name) => ({
+      id: `tiles-fill-${name}`, type: "fill", source: "tiles", "source-layer": name, filter: is("Polygon"),
+      paint: { "fill-color": colour(WATER.test(name) ? "water" : "land"), "fill-outline-color": colour("shore") },
+    })),
+    ...about.layers.map((name) => ({
+      id: `tiles-line-${name}`, type: "line", source: "tiles", "source-layer": name, filter: is("LineString"),
+      paint: { "line-color": colour(LINES.test(name) ? "edge" : "shore"), "line-width": 1 },
+    })),
+  ];
+}
+
 export class BaseMap {
   /**
    * @param {HTMLElement} element Where it is.
@@ -73,6 +98,7 @@ export class BaseMap {
       fadeDuration: 0,
       locale: { "Map.Title": title },
     });
+    this.tiles = null;
     this.map.touchZoomRotate.disableRotation();
     this.map.keyboard.disableRotation();
     this.map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");
@@ -125,13 +151,36 @@ export class BaseMap {
     }, "shore");
   }
 
+  /**
+   * Show the user's basemap, beneath all else.
+   *
+   * @param {object | null} about What the server says of it; null where there is none.
+   */
+  setTiles(about) {
+    if (!about || this.map.getSource("tiles")) return;
+    const [west, south, east, north] = about.bounds_deg;
+    this.map.addSource("tiles", {
+      type: about.kind, tiles: [`${location.origin}/basemap/{z}/{x}/{y}`],
+      minzoom: about.zooms[0], maxzoom: about.zooms[1],
+      bounds: [west, Math.max(south, -85), east, Math.min(north, 85)],
+      ...(about.kind === "raster" ? { tileSize: 256 } : {}),
+    });
+    this.tiles = about;
+    for (const layer of tileLayers(about)) this.map.addLayer(layer, "land");
+    if (!about.attribution) return;
+    const owed = document.createElement("p");
+    owed.className = "attribution";
+    owed.textContent = plain(about.attribution);
+    this.map.getContainer().append(owed);
+  }
+
   fadePicture(opacity) {
     if (this.map.getLayer("picture")) this.map.setPaintProperty("picture", "raster-opacity", opacity);
   }
 
   /** Take the colours of the theme that is shown now. */
   repaint() {
-    for (const { id, paint } of this.layers()) {
+    for (const { id, paint } of [...this.layers(), ...(this.tiles ? tileLayers(this.tiles) : [])]) {
       if (!this.map.getLayer(id)) continue;
       for (const [name, value] of Object.entries(paint)) this.map.setPaintProperty(id, name, value);
     }

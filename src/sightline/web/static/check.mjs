@@ -85,6 +85,7 @@ export class Check {
     this.map.scale.setUnit("metric");
     this.map.ready.then(async () => {
       const scene = await ask("/api/scene");
+      this.map.setTiles(scene.basemap);
       if (scene.shore) this.map.setShore(await ask("/shore.geojson"));
       this.draw();
     }).catch((error) => this.page.say(error.message, "refused"));

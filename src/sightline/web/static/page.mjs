@@ -1,6 +1,7 @@
 // The page: takes moments from the server, and shows them.
 
 import { Chart } from "/static/chart.mjs";
+import { Ground } from "/static/ground.mjs";
 import { Filter, Replay } from "/static/history.mjs";
 import { Overlays } from "/static/overlays.mjs";
 import { Panel } from "/static/panel.mjs";
@@ -28,10 +29,12 @@ const filter = new Filter(() => {
 const replay = new Replay(showKept, () => settings.zone);
 let chart = null;
 let overlays = null;
+let ground = null;
 try {
   applyTheme();
   chart = new Chart(element("map"), choose);
   overlays = new Overlays(chart);
+  ground = new Ground(chart, element("on-map"), element("on-map-opacity"));
 } catch (error) {
   element("map-notice").hidden = false;
   element("map-notice").textContent = `The map cannot be drawn: ${error.message}`;
@@ -50,6 +53,7 @@ function showKept(moment) {
   // The trails of one time are not those of another.
   if ((moment === null) !== (state.replayed === null)) chart?.trails.clear();
   state.replayed = moment;
+  ground?.replay(moment !== null);
   draw();
   list();
   status();
@@ -149,6 +153,8 @@ async function recall() {
     try {
       const about = await (await fetch("/api/about", { cache: "no-store" })).json();
       replay.toggleButton.hidden = !about.kept;
+      element("on-map").hidden = !about.on_the_map || !ground;
+      chart?.setTiles(about.basemap);
       if (path === "/shore.geojson" && !about.shore) continue;
       if (path === "/boundaries.geojson" && !about.boundaries) continue;
       const answer = await fetch(path, { cache: "no-store" });
@@ -190,6 +196,8 @@ const actions = {
   u: () => next("units"),
   t: () => next("zone"),
   d: () => next("theme"),
+  o: () => ground?.fade(10),
+  O: () => ground?.fade(-10),
   Escape: () => choose(null),
 };
 element("letters").addEventListener("click", () => next("letters"));
@@ -221,4 +229,4 @@ setInterval(status, 1000);
 setInterval(health, HEALTH_MS);
 
 // For those who look, and for tests.
-globalThis.sightline = { chart, overlays, picture, replay, state, choose };
+globalThis.sightline = { chart, overlays, ground, picture, replay, state, choose };

@@ -100,6 +100,7 @@ export class Points {
       const all = [...places, ...this.list.map((one) => [one.longitude_deg, one.latitude_deg])];
       if (all.length) this.map.fitPlaces(all, 30, false);
       this.map.set("camera", places.slice(0, 1).map((place) => spot(place)));
+      this.map.setTiles(scene.basemap);
       if (scene.shore) this.map.setShore(await ask("/shore.geojson"));
       this.draw();
     }).catch((error) => this.page.say(error.message, "refused"));
