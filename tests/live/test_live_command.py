@@ -221,7 +221,12 @@ def test_bad_input_is_one_line(
         ([camera, *model, "--mask", str(folder / "mask-small.png")], "10 x 10 px"),
         ([camera, *model, "--credentials", str(tmp_path / "none")], "cannot be read"),
         ([camera, *model, "--store", str(tmp_path / "notes.db")], "is no store"),
+        ([camera, *model, "--clips", str(tmp_path / "notes.db")], "clips cannot be kept there"),
         ([camera, *model, "--log", str(tmp_path / "a" / "b")], "cannot be written"),
+        (
+            [camera, *model, "--serve", "127.0.0.1:0", "--basemap", str(folder / "clock.csv")],
+            "is no map of tiles",
+        ),
         ([camera, *model], "refused"),
         (["gopher://host/x", *model], "is no address of a camera"),
         ([frames, *model], "is no address of a camera"),

@@ -3,6 +3,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from sightline.georeferencing.georeferencer import Georeferencer
+from sightline.live.clips import ClipRecorder, ClipSettings
 from sightline.live.lines import Lines
 from sightline.live.run import Camera, EarlierRun, LiveRun
 from sightline.live.source import Health, LiveFrame, SourceCounts
@@ -18,6 +20,7 @@ from sightline.live.store import Keeper, Store, stored_tracks
 from sightline.moment import Moment
 from sightline.simulation import BoxNoise, Harbour, HarbourSettings, SimulatedCamera
 from sightline.types import Boxes, Frame
+from sightline.video import frames
 from sightline.video.mask import Mask
 
 LASTING = BoxNoise(std_px=1.5, correlation_time_s=0.8, miss_probability=0.05, source="first")
@@ -283,6 +286,37 @@ def test_what_is_masked_is_neither_shown_nor_looked_for(
     assert shown is not None
     assert abs(int(shown[600, 600, 0]) - 114) < 3
     assert abs(int(shown[2, 600, 0]) - 90) < 3
+
+
+@pytest.mark.usefixtures("no_thread_is_left")
+def test_clips_are_taken_of_masked_pictures_where_asked_for(
+    model: Georeferencer, harbour: Harbour, tmp_path: Path
+) -> None:
+    hidden = np.zeros((720, 1280), dtype=bool)
+    hidden[::2] = True
+    camera, times = _camera(model, harbour)
+    run = LiveRun(Scripted(times), camera)
+    run.run(threading.Event())
+    assert "clips" not in run.health()
+    camera = replace(camera, mask=Mask(hidden))
+    clips = ClipRecorder(tmp_path / "clips", settings=ClipSettings(most_waiting=1000))
+    feed = Collects()
+    run = LiveRun(Scripted(times), camera, feeds={"a": feed})
+    run.record(clips)
+    # Boxes are hidden where more than half of their lower part is.
+    run.run(threading.Event())
+    clips.close(30.0)
+    assert run.health()["clips"] == {"left_out": 0, "problem": ""}
+    ids = {target.id for moment in feed.moments for target in moment.targets}
+    made = sorted((tmp_path / "clips").glob("*/*.mp4"))
+    assert made
+    assert {int(one.stem.split("-")[1]) for one in made} <= ids
+    newest = run.newest()
+    assert newest is not None
+    # Every second row is grey: of the sea's own 90 and the mask's 114 the eye sees the mean.
+    assert np.unique(newest.image_bgr).tolist() == [90, 114]
+    picture = next(iter(frames(str(made[0]), start_utc_s=0.0))).image_bgr.astype(int)
+    assert np.ptp(picture[5:9, 300:], axis=0).max() > 5
 
 
 @pytest.mark.slow

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from sightline.georeferencing.georeferencer import Georeferencer
     from sightline.live.ais import AisMatcher
     from sightline.live.boundaries import BoundaryWatch
+    from sightline.live.clips import ClipRecorder
     from sightline.live.config import LiveTable
     from sightline.live.journal import Journal
     from sightline.live.run import Camera, LiveRun
@@ -88,6 +89,12 @@ def live(
     ] = None,
     store: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the tracks; see sightline export.")
+    ] = None,
+    clips: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="Keep a short clip of the pictures around each track, masked."
+        ),
     ] = None,
     ais: Annotated[
         str | None,
@@ -170,7 +177,7 @@ def live(
         ("detector", {"name": detector, "threshold": threshold, "views": views}),
         ("detector", {"enlarge": enlarge, "budget_ms": budget}),
         ("detector", {"classes": classes.split(",") if classes else None}),
-        ("store", {"file": store}),
+        ("store", {"file": store, "clips": clips}),
         ("server", {"address": serve, "token_file": token_file}),
         ("server", {"shore": shore, "basemap": basemap}),
         ("ais", {"source": ais}),
@@ -238,6 +245,7 @@ class _Session:
 
         self._table, self._stack = table, stack
         self._hub: Hub | None = None
+        self._clips: ClipRecorder | None = None
         self._matcher: AisMatcher | None = None
         self._address = table.source.address or ""
         self._name = without_secrets(self._address)
@@ -272,6 +280,8 @@ class _Session:
                 attempt(kind, lambda kind=kind, url=url: self._tried(kind, url))  # type: ignore[misc]
         if table.store.file is not None:
             attempt("store", self._tried_store)
+        if table.store.clips is not None:
+            attempt("clips", self._tried_clips)
         if table.server.address is not None:
             attempt("page", self._tried_server)
         if wrong:
@@ -288,6 +298,7 @@ class _Session:
             reread: Is set by whoever wants the configuration to be read again.
             read: Reads it.
         """
+        from sightline.formats.tiles import open_tiles
         from sightline.live.ais import AisReceiver
         from sightline.live.on_the_map import PictureOnMap
         from sightline.live.run import EarlierRun, LiveRun
@@ -304,6 +315,9 @@ class _Session:
                 retention_days=table.store.retention_days,
                 told=lambda text: self.told("store", text),
             )
+        clips = self._opened_clips()
+        if table.server.basemap is not None:
+            open_tiles(table.server.basemap).close()
         feeds = self._opened_feeds(table, {})
         call(self._probed, stop)
         matcher = None
@@ -321,6 +335,8 @@ class _Session:
             told=self.told,
             ais=matcher,
         )
+        if clips is not None:
+            run.record(clips)
         if table.server.address is not None:
             server = self._opened_server(run.health, run.picture)
             watch = self._camera.boundaries
@@ -386,6 +402,8 @@ class _Session:
             self._matcher.change(self._view_of(camera))
         if keeper is not None:
             keeper.change(table.store.retention_days)
+        if self._clips is not None:
+            self._clips.change(table.store.retention_days)
         if self._hub is not None:
             watch = camera.boundaries
             self._hub.boundaries = None if watch is None else watch.geojson()
@@ -584,6 +602,20 @@ class _Session:
             store.close()
         return f"{path}, made"
 
+    def _opened_clips(self) -> ClipRecorder | None:
+        """What takes clips, where somebody asked for them."""
+        from sightline.live.clips import ClipRecorder
+
+        own = self._table.store
+        if own.clips is None:
+            return None
+        self._clips = ClipRecorder(
+            Path(own.clips),
+            retention_days=own.retention_days,
+            told=lambda text: self.told("clips", text),
+        )
+        return self._clips
+
     def _opened_server(
         self,
         health: Callable[[], dict[str, object]] | None,
@@ -602,6 +634,10 @@ class _Session:
             shore=Path(table.server.shore) if table.server.shore else None,
             basemap=Path(table.server.basemap) if table.server.basemap else None,
         )
+
+    def _tried_clips(self) -> str:
+        self._opened_clips()
+        return f"{self._table.store.clips}"
 
     def _tried_server(self) -> str:
         server = self._opened_server(None, None)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
-from sightline.overlay import log_sigma_m, still_camera
+from sightline.overlay import fixes_sigma_of, still_camera
 from sightline.overlay.rectified import Rectifier, resolved_m
 from sightline.overlay.water_view import WaterView, ellipse_outline, grid_spacing_m
 from sightline.reference_trajectory import ReferenceTrajectory
@@ -133,7 +133,7 @@ class FitView:
         log_s = time_utc_s - clock_offset_s
         if not self._paths or not math.isfinite(log_s):
             return []
-        view, own_m = self._view(log_s), log_sigma_m(self.model)
+        view, own_m = self._view(log_s), fixes_sigma_of(self.model)
         found = []
         for path in self._paths:
             now = path.at(np.array([log_s]))

@@ -65,6 +65,7 @@ class StoreTable(Table):
     """`[store]`."""
 
     file: str | None = None
+    clips: str | None = None
     retention_days: Annotated[float, Field(gt=0.0)] | None = None
 
 
@@ -133,6 +134,7 @@ _PATHS = (
     ("source", "credentials"),
     ("source", "frame_clock"),
     ("store", "file"),
+    ("store", "clips"),
     ("server", "token_file"),
     ("server", "shore"),
     ("server", "basemap"),

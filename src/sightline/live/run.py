@@ -18,6 +18,7 @@ from sightline.detection import Detector
 from sightline.georeferencing.georeferencer import Georeferencer
 from sightline.live.ais import AisMatcher
 from sightline.live.boundaries import BoundaryWatch
+from sightline.live.clips import ClipRecorder
 from sightline.live.lines import Lines
 from sightline.live.on_the_map import Newest
 from sightline.live.source import LiveFrame, Source, SourceEvent
@@ -108,6 +109,7 @@ class LiveRun:
         """
         earlier = earlier or EarlierRun()
         self._ais = ais
+        self._clips: ClipRecorder | None = None
         self._source, self._camera, self._keeper = source, camera, keeper
         self._feeds = dict(feeds or {})
         self._told = told
@@ -132,6 +134,10 @@ class LiveRun:
         self._last: tuple[NDArray[np.uint8], Moment] | None = None
         self._state_due_s = 0.0
         self._status_due_s = time.monotonic() + _STATUS_EVERY_S
+
+    def record(self, clips: ClipRecorder) -> None:
+        """Take a clip of each track; before it runs."""
+        self._clips = clips
 
     def add_feed(self, name: str, feed: Feed) -> None:
         """Send moments to one more, from when it runs."""
@@ -172,6 +178,8 @@ class LiveRun:
         self._lines = Lines(self._feeds, lambda text: self._tell("feed", text))
         if self._keeper is not None:
             self._keeper.start()
+        if self._clips is not None:
+            self._clips.start()
         first = True
         self._source.start()
         try:
@@ -246,6 +254,8 @@ class LiveRun:
         if self._camera.boundaries is not None:
             moment = self._camera.boundaries.update(moment)
         self._last = frame.image_bgr, moment
+        if self._clips is not None:
+            self._clips.offer(frame.image_bgr, moment)
         return moment
 
     def _masked(self, frame: Frame) -> Frame:
@@ -266,6 +276,8 @@ class LiveRun:
         self._source.close()
         if self._keeper is not None:
             self._keeper.close()
+        if self._clips is not None:
+            self._clips.close()
 
     def _new_monitor(self) -> CameraMotionMonitor:
         return CameraMotionMonitor(self._camera.model, warn_of=self._camera.name, water=self._water)
@@ -299,6 +311,8 @@ class LiveRun:
             "targets": len(self.state),
             "events": dict(counts.events),
         }
+        if self._clips is not None:
+            told["clips"] = {"left_out": self._clips.left_out, "problem": self._clips.problem}
         if self._lines is not None:
             told["feeds"] = self._lines.counts()
         if self._ais is not None:

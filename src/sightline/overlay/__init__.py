@@ -4,8 +4,8 @@ from sightline.overlay.picture import (
     Found,
     Overlay,
     OverlaySettings,
-    log_sigma_m,
+    fixes_sigma_of,
     still_camera,
 )
 
-__all__ = ["Found", "Overlay", "OverlaySettings", "log_sigma_m", "still_camera"]
+__all__ = ["Found", "Overlay", "OverlaySettings", "fixes_sigma_of", "still_camera"]

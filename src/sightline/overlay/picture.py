@@ -139,7 +139,7 @@ class Overlay:
         self._log = None
         if found.fixes is not None:
             self._log = ReferenceTrajectory.of(found.fixes, model.plane)
-        self._log_sigma_m = self._settings.fixes_sigma_m or log_sigma_m(model)
+        self._fixes_sigma_m = self._settings.fixes_sigma_m or fixes_sigma_of(model)
         self._key: tuple[float, ...] = ()
         self._view = WaterView.of(self._camera)
         self._layer: _Layer | None = None
@@ -262,7 +262,7 @@ class Overlay:
         place = now.east_north_m[0]
         if not np.isfinite(place).all():
             return
-        sigma_m = float(np.hypot(self._log_sigma_m, now.sigma_m[0]))
+        sigma_m = float(np.hypot(self._fixes_sigma_m, now.sigma_m[0]))
         outline = ellipse_outline(place, sigma_m**2 * np.eye(2))
         name = drawable(self._log.name) or "log"
         line(image, self._view.pixels(outline), WHITE, dashed=True)
@@ -385,7 +385,7 @@ class Overlay:
                     return
 
 
-def log_sigma_m(model: Georeferencer) -> float:
+def fixes_sigma_of(model: Georeferencer) -> float:
     """Standard deviation of a log along either axis, as the model knows it, metres."""
     return model.reference_sigma_m or POSITION_SIGMA_M
 
