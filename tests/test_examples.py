@@ -182,3 +182,21 @@ def test_live_demo(tmp_path: Path) -> None:
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as made:
         return int(made.getsockname()[1])
+
+
+@pytest.mark.slow
+def test_first_tracks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The pictures of the tutorial; what it says of them is what the script prints."""
+    script = runpy.run_path(str(GALLERY / "first_tracks.py"))
+    script["main"](tmp_path)
+    page = (ROOT / "docs" / "first-tracks.md").read_text(encoding="utf-8")
+    for name in ("whose", "box", "fit", "map"):
+        picture = f"first-tracks-{name}.jpg"
+        drawn, shown = cv2.imread(str(tmp_path / picture)), cv2.imread(str(PICTURES / picture))
+        assert drawn.shape == shown.shape
+        assert drawn.std() > 10.0
+        assert (PICTURES / picture).stat().st_size < 150_000
+        assert f"images/gallery/{picture}" in page
+    odds = [float(one) for one in re.findall(r"odds ([\d.e-]+) : 1", capsys.readouterr().out)]
+    assert odds[0] == pytest.approx(3.0, abs=1.0)
+    assert odds[1] < 1e-3
