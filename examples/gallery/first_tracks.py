@@ -99,8 +99,8 @@ def main(folder: Path, duration_s: float = 40.0) -> None:
         )
         drawn = overlay.drawn(Frame(frame, time_utc_s, pictures.read(frame)))[..., ::-1]
         save(folder, "fit", around(drawn, box, 360, (900, 506))[0])
-        on_map = view.rectified(pictures.read(frame), time_utc_s)
         rectifier = view.rectifier(time_utc_s)
+        on_map = rectifier.rectified(pictures.read(frame))
         log = scene["01"].fixes()
         pictures.close()
     print(f"{model.report.rmse_m:.1f} m RMSE; on the map as far as {rectifier.furthest_m:.0f} m")

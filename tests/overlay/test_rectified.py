@@ -70,6 +70,19 @@ def test_it_ends_where_rows_do_not_tell_ranges_apart(level: Rectifier) -> None:
     assert not picture[~level.shown].any()
 
 
+def test_it_reaches_no_further_than_somebody_wants() -> None:
+    near = Rectifier.of(WaterView.of(LEVEL), PLANE, reach_m=100.0)
+    assert near.furthest_m == 100.0
+    for north_m, shown in ((98.0, True), (103.0, False)):
+        row, column = place_on(near, 0.0, north_m)
+        assert (0 <= row < near.shown.shape[0] and bool(near.shown[row, column])) is shown
+    row, column = place_on(near, -20.0, 90.0)
+    x, _ = pixel(-20.0, 90.0)
+    assert near.rectified(ramps())[row, column, 0] == pytest.approx(255 * x / SIZE_PX[0], abs=2.0)
+    with pytest.raises(InputError, match="sees no water"):
+        Rectifier.of(WaterView.of(LEVEL), PLANE, reach_m=5.0)
+
+
 def test_the_edges_of_the_view_are_those_of_the_picture(level: Rectifier) -> None:
     """North up, all of what is seen and no more: 640 px of 900 px about the heading."""
     (north, west), *_ = level.corners_deg

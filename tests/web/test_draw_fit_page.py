@@ -153,6 +153,8 @@ def test_the_picture_on_the_map_is_clear_where_it_shows_nothing(asked: TestClien
     picture = np.asarray(Image.open(io.BytesIO(answer.content)))
     assert picture.shape[2] == 4
     assert 0.2 < (picture[..., 3] > 0).mean() < 0.8
+    near = asked.get("/api/fit/160/map", params={"reach_m": 100.0}).json()
+    assert near["furthest_m"] == 100.0
     # Within the corners the camera's own place is at their edge, and all else before it.
     corners = np.array(told["corners_deg"])
     east, north = ORIGIN.to_plane(*corners.T)
@@ -168,6 +170,9 @@ def test_the_picture_on_the_map_is_clear_where_it_shows_nothing(asked: TestClien
         ("GET", "/api/fit/99999/water", None),
         ("GET", "/rectified/99999.webp", None),
         ("GET", "/rectified/-1.webp", None),
+        ("GET", "/rectified/160.webp?reach_m=-1", None),
+        ("GET", "/rectified/160.webp?reach_m=1", None),
+        ("GET", "/api/fit/160/map?reach_m=inf", None),
         ("PUT", "/api/clock", {"clock_offset_s": "2"}),
         ("PUT", "/api/clock", {"clock_offset_s": 1e300}),
         ("PUT", "/api/clock", {}),
@@ -199,6 +204,28 @@ def test_without_a_fit_it_says_what_is_wanted(tmp_path: Path) -> None:
         told = client.put("/api/clock", json={"clock_offset_s": None}).json()
         assert (told["stated_s"], told["before_s"]) == (None, 1.5)
         assert scene.read_text(encoding="utf-8") == before
+    drawing.close()
+
+
+def test_points_that_the_page_cannot_change_are_looked_at_as_well(tmp_path: Path) -> None:
+    """Of a level camera 5 m high that looks north, by similar triangles: a row is r² / (h f)."""
+    scene = small_scene(tmp_path)
+    text = scene.read_text(encoding="utf-8").replace('fixes = "log.csv"\n', "")
+    for east, north in ((0.0, 20.0), (-6.0, 25.0), (8.0, 30.0), (-12.0, 40.0), (15.0, 45.0)):
+        (latitude,), (longitude,) = ORIGIN.to_geographic([east], [north])
+        x, y = 32.0 + 60.0 * east / north, 24.0 + 60.0 * 5.0 / north
+        text += f"[[control_points]]\npixel_px = [{x:.4f}, {y:.4f}]\n"
+        text += f"latitude_deg = {latitude:.9f}\nlongitude_deg = {longitude:.9f}\n"
+    scene.write_text(text.replace("[camera]", "[camera]\nimage_size_px = [64, 48]"))
+    drawing = Drawing(scene, annotator="ada")
+    app = Guard(build_draw_app(Workbench(scene, drawing)), None, 8081)
+    with TestClient(app, base_url="http://127.0.0.1:8081") as client:
+        told = client.get("/api/fit").json()
+        assert (told["reason"], told["model"], told["logs"]) == ("", "the fit to control points", 0)
+        assert client.get("/api/fit/2/log").json()["places"] == []
+        reach_m = client.get("/api/fit/2/map").json()["furthest_m"]
+        assert reach_m == pytest.approx(0.1 * 5.0 * 60.0, rel=0.25)
+        assert client.get("/rectified/2.webp").status_code == 200
     drawing.close()
 
 
@@ -249,6 +276,13 @@ def test_it_is_seen_and_the_clock_is_moved_by_keys_alone(
         assert page.evaluate(
             "sightline.check.map.map.getPaintProperty('picture', 'raster-opacity')"
         ) == pytest.approx(0.7)
+        far = page.evaluate("sightline.check.map.map.getSource('picture').coordinates[0][1]")
+        page.evaluate("document.getElementById('reach').focus()")
+        page.type("100")
+        page.press("Enter")
+        page.press("Escape")
+        page.until(f"sightline.check.map.map.getSource('picture').coordinates[0][1] !== {far}")
+        assert "as far as 100 m" in _text(page, "check-reach")
         # A box cannot be drawn here, and the arrows move none.
         before = hand.box()
         page.press("b")

@@ -108,6 +108,20 @@ class ControlPointReport:
     georeferencer: Georeferencer | None = None
 
 
+def fit_points(scene: Path) -> tuple[FitInputs, Georeferencer]:
+    """Fit a camera to the control points of a scene, and to boxes where there are any.
+
+    Args:
+        scene: The scene file.
+
+    Raises:
+        InputError: A file of the scene cannot be used.
+        FitError: There are too few, or no camera explains them.
+    """
+    inputs = collect(without_empty_tables(Scene.load(scene)), pictures=False)
+    return inputs, fit(inputs, FitSettings(model=_MODEL))
+
+
 @dataclass(frozen=True)
 class _Change:
     """A change that can be undone: a row that was there, and one that is there instead."""
@@ -247,8 +261,7 @@ class ControlPointSheet:
                 fits as there are points.
         """
         try:
-            inputs = collect(without_empty_tables(Scene.load(self._path)), pictures=False)
-            fitted = fit(inputs, FitSettings(model=_MODEL))
+            inputs, fitted = fit_points(self._path)
         except SightlineError as error:
             return ControlPointReport(error=str(error))
         report = fitted.report

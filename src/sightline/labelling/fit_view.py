@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.georeferencing.georeferencer import Georeferencer
@@ -87,7 +86,7 @@ class FitView:
                 ReferenceTrajectory.of(one.fixes, model.plane, one.velocity_mps)
                 for one in recording.logs()
             ]
-        self._rectifiers: dict[float, Rectifier] = {}
+        self._rectifiers: dict[tuple[float, float], Rectifier] = {}
 
     @property
     def logs(self) -> int:
@@ -182,23 +181,23 @@ class FitView:
             return math.nan, 0
         return float(np.sqrt(np.mean(apart[known] ** 2))), int(known.sum())
 
-    def rectifier(self, time_utc_s: float) -> Rectifier:
+    def rectifier(self, time_utc_s: float, reach_m: float = math.inf) -> Rectifier:
         """What lays a picture onto the map.
 
         Args:
             time_utc_s: When it was taken, POSIX seconds; NaN where that is not known.
+            reach_m: It reaches no further.
 
         Raises:
             InputError: The camera sees no water, or the water level is needed and not known.
         """
-        above_m = self._above_m(time_utc_s)
-        if above_m not in self._rectifiers:
-            self._rectifiers = {above_m: Rectifier.of(self._view(time_utc_s), self.model.plane)}
-        return self._rectifiers[above_m]
-
-    def rectified(self, image_bgr: NDArray[np.uint8], time_utc_s: float) -> NDArray[np.uint8]:
-        """A picture on the map; see `Rectifier.rectified`."""
-        return self.rectifier(time_utc_s).rectified(image_bgr)
+        key = self._above_m(time_utc_s), reach_m
+        known = self._rectifiers.get(key)
+        if known is None:
+            view = self._view(time_utc_s)
+            known = Rectifier.of(view, self.model.plane, reach_m=reach_m)
+            self._rectifiers = {key: known}
+        return known
 
     def _logged(
         self,

@@ -49,7 +49,12 @@ class Rectifier:
 
     @classmethod
     def of(
-        cls, view: WaterView, plane: LocalPlane, *, largest_row_share: float = LARGEST_ROW_SHARE
+        cls,
+        view: WaterView,
+        plane: LocalPlane,
+        *,
+        largest_row_share: float = LARGEST_ROW_SHARE,
+        reach_m: float = np.inf,
     ) -> Rectifier:
         """Prepare to lay the pictures of a view onto the map.
 
@@ -57,11 +62,12 @@ class Rectifier:
             view: The water as the camera sees it.
             plane: Of the camera's place.
             largest_row_share: See `LARGEST_ROW_SHARE`.
+            reach_m: It reaches no further than this, where houses stand behind.
 
         Raises:
             InputError: The camera sees no water near enough.
         """
-        furthest_m = resolved_m(view, largest_row_share)
+        furthest_m = min(resolved_m(view, largest_row_share), reach_m)
         place = np.array([view.camera.east_m, view.camera.north_m])
         around = _polar(place, furthest_m)
         seen = _inside(view, view.pixels(around))

@@ -35,6 +35,9 @@ _SecondsInQuery = Annotated[
 ]
 
 
+_ReachInQuery = Annotated[float | None, Query(ge=1.0, le=20_000.0, allow_inf_nan=False)]
+
+
 class _Request(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
@@ -242,12 +245,12 @@ def _add_fit(app: FastAPI, bench: Workbench) -> None:
         return json_answer(own.log(frame, clock_offset_s))
 
     @app.get("/api/fit/{frame}/map")
-    def on_the_map(frame: _FrameInPath) -> Response:
-        return json_answer(own.on_the_map(frame))
+    def on_the_map(frame: _FrameInPath, reach_m: _ReachInQuery = None) -> Response:
+        return json_answer(own.on_the_map(frame, reach_m))
 
     @app.get("/rectified/{frame}.webp")
-    def rectified(frame: _FrameInPath) -> Response:
-        return Response(own.rectified(frame), 200, NO_STORE, "image/webp")
+    def rectified(frame: _FrameInPath, reach_m: _ReachInQuery = None) -> Response:
+        return Response(own.rectified(frame, reach_m), 200, NO_STORE, "image/webp")
 
     @app.put("/api/clock")
     def clock(asked: _ClockRequest) -> Response:

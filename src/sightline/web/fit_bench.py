@@ -116,28 +116,37 @@ class FitBench:
             "boxes": count,
         }
 
-    def on_the_map(self, frame: int) -> dict[str, object]:
+    def on_the_map(self, frame: int, reach_m: float | None = None) -> dict[str, object]:
         """Where a picture lies on the map.
+
+        Args:
+            frame: Its number.
+            reach_m: It reaches no further; None: as far as its rows tell ranges apart.
 
         Raises:
             InputError: As `water`; or the camera sees no water near enough.
         """
         view, _ = self._current()
-        rectifier = view.rectifier(self._log_time_s(frame, view))
+        rectifier = view.rectifier(self._log_time_s(frame, view), reach_m or math.inf)
         return {
             "corners_deg": rectifier.corners_deg.tolist(),
             "furthest_m": rectifier.furthest_m,
         }
 
-    def rectified(self, frame: int) -> bytes:
+    def rectified(self, frame: int, reach_m: float | None = None) -> bytes:
         """A picture as it lies on the map, WebP with transparent parts.
+
+        Args:
+            frame: Its number.
+            reach_m: As for `on_the_map`.
 
         Raises:
             InputError: As `on_the_map`.
         """
         view, _ = self._current()
         picture = self._drawing.picture(frame)
-        return webp(view.rectified(picture, self._log_time_s(frame, view)))
+        rectifier = view.rectifier(self._log_time_s(frame, view), reach_m or math.inf)
+        return webp(rectifier.rectified(picture))
 
     def state_clock(self, offset_s: float | None) -> dict[str, object]:
         """Write the clock offset into the scene file; None takes it out.

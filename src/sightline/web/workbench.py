@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.detection import DEFAULT_DETECTOR, Detector
-from sightline.errors import InputError
+from sightline.errors import InputError, SightlineError
 from sightline.labelling.control_points import (
     ControlPointReport,
     ControlPointSheet,
     SheetPoint,
+    fit_points,
     parse_position,
 )
 from sightline.labelling.expected import TargetSize, expect, place_of
@@ -154,6 +156,7 @@ class PointBench:
         # One fit at a time is enough for two cores.
         self._fitting = threading.Lock()
         self._asked = 0
+        self._scene, self._tried = scene, False
         self._fitted: Georeferencer | None = None
         try:
             self._sheet = ControlPointSheet(scene)
@@ -168,12 +171,14 @@ class PointBench:
 
     def newest(self) -> Georeferencer | None:
         """The newest fit to the points; None where none is possible."""
-        if self._fitted is None:
-            try:
-                self.fit(left_out=False)
-            except InputError:
-                return None
-        return self._fitted
+        with self._fitting:
+            if self._fitted is None and not self._tried:
+                # Points that the page cannot change are there to be looked at as well.
+                self._tried = True
+                with suppress(SightlineError):
+                    if len(Scene.load(self._scene).control_points):
+                        self._fitted = fit_points(self._scene)[1]
+            return self._fitted
 
     def fit(self, *, left_out: bool) -> dict[str, object]:
         """What a fit makes of each point; ``stale`` where a newer one was asked for meanwhile.

@@ -58,6 +58,10 @@ export class Check {
     element("clock-fit").addEventListener("click", () => this.setOffset(this.about?.clock_offset_s));
     element("clock-write").addEventListener("click", () => this.write(this.offset));
     element("clock-back").addEventListener("click", () => this.back());
+    element("reach").addEventListener("change", () => {
+      this.fitted = false;
+      this.askMap(this.page.frame());
+    });
     element("opacity").addEventListener("input", () => this.fade());
   }
 
@@ -196,14 +200,19 @@ export class Check {
   }
 
   askMap(frame) {
-    this.newest("map", frame, async (asked) => {
-      const told = await ask(`/api/fit/${asked}/map`);
+    if (!this.about || this.about.reason) return;
+    const field = element("reach");
+    const wanted = Number.isFinite(field.valueAsNumber) && field.checkValidity()
+      ? `reach_m=${field.valueAsNumber}` : "";
+    this.newest("map", `${frame}?${wanted}`, async (asked) => {
+      const [picture, reach] = asked.split("?");
+      const told = await ask(`/api/fit/${picture}/map?${reach}`);
       await this.map?.ready;
       element("check-reach").textContent =
-        `The picture on the water as far as ${metres(told.furthest_m)} m: beyond, a row of it is `
-        + "more than a tenth of the range. What stands above the water lies too far away here.";
+        `The picture on the water as far as ${metres(told.furthest_m)} m${reach ? "" : ": beyond, a row of "
+        + "it is more than a tenth of the range"}. What stands above the water lies too far away here.`;
       const corners = told.corners_deg.map(([latitude, longitude]) => [longitude, latitude]);
-      const address = new URL(`/rectified/${asked}.webp?fit=${Date.now()}`, location.href).href;
+      const address = new URL(`/rectified/${picture}.webp?fit=${Date.now()}&${reach}`, location.href).href;
       this.map?.setPicture(address, corners, this.opacity());
       if (this.map && !this.fitted) {
         this.fitted = true;

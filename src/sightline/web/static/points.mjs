@@ -98,7 +98,10 @@ export class Points {
       const scene = await ask("/api/scene");
       const places = scene.places_deg.map(([latitude, longitude]) => [longitude, latitude]);
       const all = [...places, ...this.list.map((one) => [one.longitude_deg, one.latitude_deg])];
+      const [west, south, east, north] = scene.basemap?.bounds_deg ?? [];
       if (all.length) this.map.fitPlaces(all, 30, false);
+      // Of a place that nothing tells, the user's map does.
+      else if (scene.basemap) this.map.fitPlaces([[west, south], [east, north]], 10, false);
       this.map.set("camera", places.slice(0, 1).map((place) => spot(place)));
       this.map.setTiles(scene.basemap);
       if (scene.shore) this.map.setShore(await ask("/shore.geojson"));
