@@ -330,6 +330,15 @@ def test_a_network_whose_names_are_no_text_is_refused(examples: Path, tmp_path: 
     assert read_or_refuse("detector: ONNX", path, content, examples)
 
 
+def test_a_map_whose_tables_have_no_names_is_refused(examples: Path, tmp_path: Path) -> None:
+    """SQLite complains in the letters that it found, which are none."""
+    content = (examples / "map.mbtiles").read_bytes()
+    assert content.count(b"CREATE TABLE tiles") == 1
+    content = content.replace(b"CREATE TABLE tiles", b"CREATE \xffABLE tiles")
+    line = read_or_refuse("map: MBTiles", tmp_path / "map.mbtiles", content, examples)
+    assert "is no MBTiles that can be used" in line
+
+
 def test_videos_whose_words_are_in_another_encoding(examples: Path, tmp_path: Path) -> None:
     """What a camera of twenty years ago wrote of itself; the pictures are as they were."""
     source = (examples / "clip.mp4").read_bytes()

@@ -6,7 +6,9 @@ import io
 import json
 import shutil
 import sqlite3
+import struct
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import av
@@ -18,6 +20,7 @@ from PIL import Image
 from sightline import formats
 from sightline.formats import read_tracks
 from sightline.formats.labels import Labels, write_labels
+from sightline.formats.tiles import tile_number
 from sightline.geodesy import LocalPlane
 from sightline.live.state import SmoothedPart
 from sightline.live.store import Store
@@ -76,6 +79,7 @@ def make_examples(folder: Path) -> None:
     _picture_labels(folder)
     _areas(folder)
     _live(folder)
+    _tiles(folder)
     _foreign(folder)
 
 
@@ -491,6 +495,41 @@ def _live(folder: Path) -> None:
     track = read_tracks(folder / "tracks.geojson")[0]
     store.keep([], [SmoothedPart(track, final=True)], {"tracker": {}})
     store.close()
+
+
+TILES = ((0, 0, 0), (1, 1, 0), (2, 2, 1))
+"""Zoom, column and row of the tiles of the maps."""
+
+
+def _tiles(folder: Path) -> None:
+    """Maps of pictures, as MBTiles and as PMTiles whose directory is not compressed."""
+    coded = io.BytesIO()
+    Image.fromarray(np.full((2, 2, 3), 90, dtype=np.uint8)).save(coded, "PNG")
+    picture = coded.getvalue()
+    with closing(sqlite3.connect(folder / "map.mbtiles")) as base, base:
+        base.execute("CREATE TABLE metadata (name TEXT, value TEXT)")
+        base.execute(
+            "CREATE TABLE tiles (zoom_level INTEGER, tile_column INTEGER, tile_row INTEGER,"
+            " tile_data BLOB)"
+        )
+        told = [("format", "png"), ("bounds", "9,53,11,55"), ("attribution", "<b>Chart</b>")]
+        base.executemany("INSERT INTO metadata VALUES (?, ?)", told)
+        rows = [(zoom, x, (1 << zoom) - 1 - y, picture) for zoom, x, y in TILES]
+        base.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", rows)
+    numbers = sorted({tile_number(*place) for place in TILES})
+    steps = np.diff([0, *numbers]).tolist()
+    # One picture for all: each entry is at the offset 0, which is written as 1.
+    values = [len(numbers), *steps, *[1] * len(numbers), *[len(picture)] * len(numbers)]
+    root = bytes([*values, *[1] * len(numbers)])
+    meta = b'{"attribution": "Chart"}'
+    at = 127 + len(root)
+    header = struct.pack(
+        "<7sB11Q6B4iB2i",
+        *(b"PMTiles", 3, 127, len(root), at, len(meta), at + len(meta), 0, at + len(meta)),
+        *(len(picture), len(numbers), len(numbers), 1, 1, 1, 1, 2, 0, 2),
+        *(90_000_000, 530_000_000, 110_000_000, 550_000_000, 0, 100_000_000, 540_000_000),
+    )
+    (folder / "map.pmtiles").write_bytes(header + root + meta + picture)
 
 
 def _foreign(folder: Path) -> None:

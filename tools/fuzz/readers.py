@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.containers import BYTES, GEOPACKAGE, MP4, ONNX, PARQUET, PICTURE, SAFETENSORS, STORE, TS
-from fuzz.examples import FRAME_PX
+from fuzz.examples import FRAME_PX, TILES
 from fuzz.texts import AIS, SENTENCES, TABLE, TEXT, TOML, XML, Mutator
 from fuzz.trees import JSON, JSON_LINES
 from sightline import formats, video
@@ -31,6 +31,7 @@ from sightline.formats.picture_labels import (
     read_coco_labels,
     read_yolo_labels,
 )
+from sightline.formats.tiles import open_tiles
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.georeferencer import load_model
 from sightline.live.ais import AisMatcher
@@ -63,6 +64,20 @@ class Reader:
     examples: tuple[str, ...]
     mutators: tuple[Mutator, ...]
     weight: int = 2
+
+
+def _tiles(path: Path, _: Path) -> None:
+    """All tiles that the example has, one at a time, as a map asks for them."""
+    tiles = open_tiles(path)
+    refused = None
+    for place in TILES:
+        try:
+            tiles.tile(*place)
+        except InputError as error:
+            refused = error
+    tiles.close()
+    if refused is not None:
+        raise refused
 
 
 def _fixes(path: Path, _: Path) -> None:
@@ -350,6 +365,8 @@ READERS: tuple[Reader, ...] = (
     Reader("AIS receiver", _receiver, ("feed.nmea", "one.nmea"), AIS),
     Reader("live: configuration", _live_config, ("live.toml",), TOML),
     Reader("live: store", _store, ("live.db",), STORE),
+    Reader("map: MBTiles", _tiles, ("map.mbtiles",), STORE),
+    Reader("map: PMTiles", _tiles, ("map.pmtiles",), BYTES),
     Reader("log: CSV", _fixes, ("log.csv",), TABLE, 3),
     Reader("log: CSV of AIS", _feed, ("ais.csv", "danish.csv"), TABLE, 3),
     Reader("log: JSON lines", _fixes, ("gpsd.json", "signalk.json"), JSON_LINES, 3),

@@ -139,6 +139,7 @@ class MbTiles:
             )
         except sqlite3.Error as error:
             raise InputError(f"{path}: cannot be opened: {error}") from error
+        self._base.text_factory = lambda data: data.decode("utf-8", "replace")
         self._base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_TILE_BYTES)
         self._base.set_progress_handler(self._count, self._STEP_OPERATIONS)
         try:
@@ -192,7 +193,8 @@ class MbTiles:
             self._steps = 0
             try:
                 return self._base.execute(query, values).fetchall()
-            except (sqlite3.Error, OverflowError) as error:
+            # What it complains of may have letters that are none in it.
+            except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
                 raise InputError(
                     f"{self._path}: is no MBTiles that can be used: {error}"
                 ) from error
