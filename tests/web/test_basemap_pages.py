@@ -80,15 +80,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield one
 
 
-def opened(page: Browser, url: str) -> None:
-    # The page before it may still be asking a server that has ended.
-    page.call("Page.navigate", url="about:blank")
-    page.until("location.href === 'about:blank'")
-    page.complaints.clear()
-    page.requests.clear()
-    page.open(url)
-
-
 def test_tiles_are_served_and_what_is_none_is_refused(tiles: Path) -> None:
     server = LiveServer("127.0.0.1:0", basemap=tiles)
     client = TestClient(build_app(server.hub))
@@ -138,7 +129,7 @@ def test_both_are_seen_on_the_live_page_by_keys(tiles: Path, page: Browser, tmp_
     server.start()
     try:
         server.publish(harbour(0.0))
-        opened(page, server.url)
+        page.open_anew(server.url)
         page.until("!document.getElementById('on-map').hidden")
         page.until("sightline.chart.map.isSourceLoaded('tiles')")
         assert page.evaluate("document.querySelector('.attribution').textContent") == "Chart office"
@@ -178,7 +169,7 @@ def test_the_map_of_control_points_has_the_basemap(
 ) -> None:
     (tmp_path / "scene").mkdir()
     with served(small_scene(tmp_path / "scene"), tiles=open_tiles(tiles)) as server:
-        opened(page, server.url)
+        page.open_anew(server.url)
         page.until("sightline.state.shown")
         page.press("c")
         page.until("Boolean(sightline.points.map?.map.getSource('tiles'))")

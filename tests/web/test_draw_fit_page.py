@@ -43,16 +43,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
         yield one
 
 
-def opened(page: Browser, url: str) -> None:
-    # The page before it may still be asking a server that has ended.
-    page.call("Page.navigate", url="about:blank")
-    page.until("location.href === 'about:blank'")
-    page.complaints.clear()
-    page.requests.clear()
-    page.open(url)
-    page.until("sightline.state.shown")
-
-
 def drawn_scene(made: Path, folder: Path) -> tuple[Path, list[int]]:
     """The harbour with twenty boxes of the truth in its table."""
     true = truth(made)
@@ -234,7 +224,8 @@ def test_it_is_seen_and_the_clock_is_moved_by_keys_alone(
 ) -> None:
     scene, frames = drawn_scene(made, tmp_path / "scene")
     with served(scene) as server:
-        opened(page, server.url)
+        page.open_anew(server.url)
+        page.until("sightline.state.shown")
         page.until("sightline.state.shown && sightline.state.advice?.rmse_m != null")
         hand = Hand(page)
         hand.go_to(frames[8])
@@ -314,7 +305,8 @@ def test_whose_log_it_is_is_confirmed_by_keys_alone(
     scene = undrawn_beside(made, tmp_path / "scene", log)
     before = scene.read_text(encoding="utf-8")
     with served(scene) as server:
-        opened(page, server.url)
+        page.open_anew(server.url)
+        page.until("sightline.state.shown")
         page.press("l")
         page.until(
             "document.getElementById('whose-state').textContent.startsWith('All that moves')"

@@ -95,6 +95,15 @@ class Browser:
         self.call("Page.navigate", url=url)
         self.until("document.documentElement?.dataset.ready === 'true'")
 
+    def open_anew(self, url: str) -> None:
+        """Open a page when the one before is gone, and forget what that asked for and said."""
+        # It may still be asking a server that has ended.
+        self.call("Page.navigate", url="about:blank")
+        self.until("location.href === 'about:blank'")
+        self.complaints.clear()
+        self.requests.clear()
+        self.open(url)
+
     def screenshot(self, path: Path) -> None:
         done = self.call("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(done["data"]))
