@@ -34,6 +34,8 @@ _UNTYPED = {
     "formats/area_geojson.py": _JSON,
     "formats/ais.py": "pyais has no types",
     "formats/geojson.py": _JSON,
+    "formats/otanalytics.py": _JSON,
+    "formats/otvision.py": _JSON,
     "formats/parquet.py": "pyarrow has no types",
     "georeferencing/camera_regressor.py": _SKLEARN,
     "georeferencing/fit_report.py": _JSON,

@@ -467,6 +467,21 @@ def _boundaries(folder: Path) -> None:
         ]
         content = {"type": "FeatureCollection", "features": features}
         (folder / f"{name}.geojson").write_text(json.dumps(content))
+    box = {"class": "car", "confidence": 0.9, "x": 100.0, "y": 50.0, "w": 20.0, "h": 10.0}
+    video = {"recorded_start_date": "1577836800.0", "recorded_fps": 20.0}
+    content = {
+        "metadata": {"otdet_version": "1.2", "video": video},
+        "data": {"detections": [{**box, "frame": k, "track-id": 1} for k in range(1, 9)]},
+    }
+    (folder / "tracks.ottrk").write_text(json.dumps(content))
+    corners = [{"x": 100, "y": 200}, {"x": 300, "y": 220}, {"x": 300, "y": 340}]
+    sections = [
+        {"id": kind, "type": kind, "coordinates": corners, "plugin_data": {}}
+        for kind in ("line", "area")
+    ]
+    flows = [{"id": "in", "start": "line", "end": "area", "distance": 25.0}]
+    content = {"sections": sections, "flows": flows}
+    (folder / "sections.otflow").write_text(json.dumps(content))
 
 
 def _live(folder: Path) -> None:

@@ -26,6 +26,7 @@ from sightline.clock import presentation_clock
 from sightline.detection import DetectorOptions, detector_by_name
 from sightline.errors import InputError
 from sightline.formats.labels import empty_frames, read_labels
+from sightline.formats.otanalytics import read_otflow
 from sightline.formats.picture_labels import (
     read_class_names,
     read_coco_labels,
@@ -38,6 +39,7 @@ from sightline.live.ais import AisMatcher
 from sightline.live.config import read_live_config
 from sightline.live.store import stored_tracks
 from sightline.moment import Moment
+from sightline.pipeline.sections import place_sections
 from sightline.scene import Scene
 from sightline.tally import Tally
 from sightline.tracks import Tracks
@@ -162,6 +164,11 @@ def _lines(path: Path, _: Path) -> None:
 def _zones(path: Path, _: Path) -> None:
     for zone in formats.read_zones(path).values():
         zone.contains(np.linspace(-90.0, 90.0, 50), np.linspace(-180.0, 180.0, 50))
+
+
+def _sections(path: Path, examples: Path) -> None:
+    sections = read_otflow(path)
+    place_sections(sections, load_model(examples / "camera-gpr.safetensors"), str(path))
 
 
 def _mask(path: Path, _: Path) -> None:
@@ -374,6 +381,7 @@ READERS: tuple[Reader, ...] = (
     Reader("boxes: centres", _sized_boxes, ("yolo.txt", "xywh.csv"), TABLE),
     Reader("boxes: CSV", _boxes, ("still/boxes/01.csv", "still/detections/01.csv"), TABLE, 4),
     Reader("boxes: MOTChallenge", _boxes, ("boxes.txt",), TABLE, 3),
+    Reader("boxes: OTVision", _boxes, ("tracks.ottrk",), JSON, 2),
     Reader("tracks: GeoJSON", _tracks, ("tracks.geojson",), JSON, 4),
     Reader("tracks: GPX", _tracks, ("tracks.gpx",), XML),
     Reader("tracks: CSV", _tracks, ("tracks.csv",), TABLE, 3),
@@ -394,6 +402,7 @@ READERS: tuple[Reader, ...] = (
     Reader("area", _area, ("water.geojson",), JSON, 3),
     Reader("lines", _lines, ("lines.geojson",), JSON, 2),
     Reader("zones", _zones, ("zones.geojson",), JSON, 2),
+    Reader("sections: OTAnalytics", _sections, ("sections.otflow",), JSON, 2),
     Reader("mask", _mask, ("mask.png",), PICTURE),
     Reader("scene", _scene, ("still/scene.toml", "aboard/scene.toml", "points.toml"), TOML, 5),
     Reader("model", _model, _MODELS, SAFETENSORS, 4),

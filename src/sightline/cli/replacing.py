@@ -26,6 +26,7 @@ _TRACK_COLUMNS = {
 }
 _TRACK_PROPERTIES = (b'"track_id"', b'"semi_major_m"', b'"ellipse_bearing_deg"')
 _COUNT_COLUMNS = ("entries_expected", "occupancy_moored", "other_track_id", "distance_sigma_m")
+_FLOW_HEADER = "start time,end time,classification,flow,from section,to section,count"
 _BOX_HEADER = "frame,x1,y1,x2,y2,confidence,annotator,label,time_utc"
 # Numbers as they are written here, always with a point.
 _BOX_ROW = re.compile(r"\d+,-?\d+(,-?\d+\.\d{1,2}){4},\d\.\d{1,4},-1,-1,-1")
@@ -179,6 +180,12 @@ def _is_counts(path: Path) -> bool:
     return head.startswith(b"PAR1") and all(name.encode() in tail for name in _COUNT_COLUMNS)
 
 
+def _is_flows(path: Path) -> bool:
+    # OTAnalytics' own have the same columns: whoever counts anew replaces those as well.
+    head, _ = _ends(path)
+    return _first_line(head) == _FLOW_HEADER
+
+
 def _is_model(path: Path) -> bool:
     with path.open("rb") as file:
         length = int.from_bytes(file.read(_LENGTH_BYTES), "little")
@@ -230,6 +237,7 @@ KINDS = {
     "tracks": "a file of tracks",
     "boxes": "a table of boxes",
     "counts": "a table of counts",
+    "flows": "a table of counted flows",
     "model": "a model",
     "result": "a result as JSON",
     "page": "a report",
@@ -244,6 +252,7 @@ _KNOWN: dict[str, Callable[[Path], bool]] = {
     "tracks": _is_tracks,
     "boxes": _is_boxes,
     "counts": _is_counts,
+    "flows": _is_flows,
     "model": _is_model,
     "result": _is_result,
     "page": _is_page,

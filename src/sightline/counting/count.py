@@ -25,6 +25,8 @@ LEFT_TO_RIGHT, RIGHT_TO_LEFT = "left to right", "right to left"
 
 _BOUND = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 _MOST_ROWS = 1_000_000
+# The 95 % quantile of chi squared with two degrees of freedom.
+_INDISTINCT = 5.991
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,21 @@ class CountSettings:
 
 
 @dataclass(frozen=True)
+class Flow:
+    """A way through the scene: from one line or zone to another.
+
+    Attributes:
+        name: As its file names it.
+        origin: The line that is crossed, or the zone that is entered, first.
+        destination: The one after it.
+    """
+
+    name: str
+    origin: str
+    destination: str
+
+
+@dataclass(frozen=True)
 class CountReport:
     """What was counted, as rows that a table or JSON takes.
 
@@ -56,6 +73,7 @@ class CountReport:
         lines: A row an interval, line, class and direction.
         zones: A row an interval, zone and class.
         journeys: A row an interval, class, origin and destination.
+        flows: A row an interval, flow and class.
         near_misses: A row a near miss.
         tracks: How many there were.
         moored: Of these, how many never move.
@@ -66,6 +84,7 @@ class CountReport:
     lines: list[Row] = field(default_factory=list)
     zones: list[Row] = field(default_factory=list)
     journeys: list[Row] = field(default_factory=list)
+    flows: list[Row] = field(default_factory=list)
     near_misses: list[Row] = field(default_factory=list)
     tracks: int = 0
     moored: int = 0
@@ -82,6 +101,7 @@ class CountReport:
             "lines": self.lines,
             "zones": self.zones,
             "journeys": self.journeys,
+            "flows": self.flows,
             "near_misses": self.near_misses,
         }
 
@@ -91,6 +111,7 @@ class CountReport:
             ("line", self.lines),
             ("zone", self.zones),
             ("journey", self.journeys),
+            ("flow", self.flows),
             ("near miss", self.near_misses),
         )
         return [{"what": what, **row} for what, rows in parts for row in rows]
@@ -101,6 +122,7 @@ def count(
     *,
     lines: Mapping[str, Line] | None = None,
     zones: Mapping[str, Area] | None = None,
+    flows: Sequence[Flow] = (),
     settings: CountSettings | None = None,
 ) -> CountReport:
     """Count what tracks do at lines, in zones, and with each other.
@@ -111,10 +133,12 @@ def count(
         tracks: In one plane.
         lines: By name.
         zones: By name.
+        flows: Between these lines and zones.
         settings: Intervals, and what is a near miss.
 
     Raises:
-        InputError: There is no point of a track, or there would be too many intervals.
+        InputError: There is no point of a track, a flow's line or zone is not there, or there
+            would be too many intervals.
     """
     settings = settings or CountSettings()
     tracks = [track for track in tracks if len(track)]
@@ -126,16 +150,40 @@ def count(
     here = [LineBoundary.of(name, line, plane) for name, line in (lines or {}).items()]
     there = [ZoneBoundary.of(name, area, plane) for name, area in (zones or {}).items()]
     classes = sorted({_class(track) for track in tracks})
-    bins = _Bins.of(tracks, settings.every_s, (2 * len(here) + len(there)) * len(classes))
+    rows = (2 * len(here) + len(there) + len(flows)) * len(classes)
+    bins = _Bins.of(tracks, settings.every_s, rows)
     at_lines = [[passage(track, line) for track in tracks] for line in here]
+    at_zones = [[passage(track, zone) for track in tracks] for zone in there]
+    crossed = [
+        _crossed([line.name for line in here], [one[k] for one in at_lines])
+        for k in range(len(tracks))
+    ]
     return CountReport(
         lines=[
             row
             for line, passages in zip(here, at_lines, strict=True)
             for row in _line_rows(line, tracks, passages, bins)
         ],
-        zones=[row for zone in there for row in _zone_rows(zone, tracks, bins)],
-        journeys=_journeys([line.name for line in here], tracks, at_lines, bins),
+        zones=[
+            row
+            for zone, passages in zip(there, at_zones, strict=True)
+            for row in _zone_rows(zone, tracks, passages, bins)
+        ],
+        journeys=_journeys(tracks, crossed, bins),
+        flows=_flow_rows(
+            flows,
+            tracks,
+            [
+                _in_order(at_line + _crossed([zone.name for zone in there], at_zone, inwards=True))
+                for at_line, at_zone in zip(
+                    crossed,
+                    ([one[k] for one in at_zones] for k in range(len(tracks))),
+                    strict=True,
+                )
+            ],
+            {one.name for one in here} | {one.name for one in there},
+            bins,
+        ),
         near_misses=_near_misses(tracks, settings.closest_m),
         tracks=len(tracks),
         moored=sum(track.never_moves for track in tracks),
@@ -233,6 +281,7 @@ def _line_rows(
     for track, one in zip(tracks, passages, strict=True):
         for rising in (True, False):
             sums[_class(track), rising].add(one, rising, bins)
+    twice = _maybe_twice(tracks, passages)
     rows: list[Row] = []
     for i in range(len(bins)):
         for (name, rising), total in sums.items():
@@ -247,6 +296,7 @@ def _line_rows(
                     "direction": LEFT_TO_RIGHT if rising else RIGHT_TO_LEFT,
                     "bound": _bound(line.right_deg + (0.0 if rising else 180.0)),
                     **total.columns(i),
+                    "maybe_twice": sum(id(crossing) in twice for crossing in total.counted[i]),
                     "speed_mean_mps": _number(speeds.mean()) if n else None,
                     "speed_se_mps": _number(np.sqrt((sigmas**2).sum()) / n) if n else None,
                     "speed_std_mps": _number(speeds.std(ddof=1)) if n > 1 else None,
@@ -255,8 +305,49 @@ def _line_rows(
     return rows
 
 
-def _zone_rows(zone: ZoneBoundary, tracks: Sequence[Track], bins: _Bins) -> list[Row]:
-    passages = [passage(track, zone) for track in tracks]
+def _maybe_twice(tracks: Sequence[Track], passages: Sequence[Passage]) -> set[int]:
+    """Crossings, by their id, that may be another track's of the same vessel, told before.
+
+    Two tracks that cross a line in the same direction may be one vessel where, halfway between
+    their crossings, their places are not further apart than 95 % of the differences that their
+    covariances state (chi squared with two degrees of freedom).
+    """
+    found: set[int] = set()
+    all_of = [
+        (crossing, track)
+        for track, one in zip(tracks, passages, strict=True)
+        for crossing in one.counted
+        if one.known
+    ]
+    all_of.sort(key=lambda pair: pair[0].time_utc_s)
+    for k, (crossing, track) in enumerate(all_of):
+        for before, other in reversed(all_of[:k]):
+            middle = 0.5 * (before.time_utc_s + crossing.time_utc_s)
+            if middle < track.time_utc_s[0]:
+                break
+            same_way = before.rising == crossing.rising and other is not track
+            if same_way and _indistinct(track, other, middle):
+                found.add(id(crossing))
+                break
+    return found
+
+
+def _indistinct(first: Track, second: Track, time_s: float) -> bool:
+    if not all(one.time_utc_s[0] <= time_s <= one.time_utc_s[-1] for one in (first, second)):
+        return False
+    apart, covariance = np.zeros(2), np.zeros((2, 2))
+    for track, sign in ((first, 1.0), (second, -1.0)):
+        columns = np.column_stack([track.east_m, track.north_m, track.covariance_m2.reshape(-1, 4)])
+        values = np.array([np.interp(time_s, track.time_utc_s, one) for one in columns.T])
+        apart += sign * values[:2]
+        covariance += values[2:].reshape(2, 2)
+    squared = float(apart @ np.linalg.pinv(covariance) @ apart)
+    return squared < _INDISTINCT
+
+
+def _zone_rows(
+    zone: ZoneBoundary, tracks: Sequence[Track], passages: Sequence[Passage], bins: _Bins
+) -> list[Row]:
     most, most_sigma = _most(passages, bins)
     rows: list[list[Row]] = [[] for _ in range(len(bins))]
     for name in sorted({_class(track) for track in tracks}):
@@ -380,50 +471,133 @@ def _nominal(one: Passage) -> list[tuple[float, float]]:
     return found
 
 
+_Visit = tuple[Crossing, str]
+"""A crossing that counts, and the name of what was crossed."""
+
+
+def _crossed(
+    names: Sequence[str], passages: Sequence[Passage], *, inwards: bool = False
+) -> list[_Visit]:
+    """What a track crosses, in the order of time; or of zones, what it enters."""
+    return _in_order(
+        [
+            (crossing, name)
+            for name, one in zip(names, passages, strict=True)
+            for crossing in one.counted
+            if crossing.rising or not inwards
+        ]
+    )
+
+
+def _in_order(visits: Sequence[_Visit]) -> list[_Visit]:
+    return sorted(visits, key=lambda visit: visit[0].time_utc_s)
+
+
+@dataclass(frozen=True)
+class _Trip:
+    """A track from one crossing to another.
+
+    Attributes:
+        chance: That both were; NaN where the track does not say how unsure it is.
+        took_s: Time between them.
+        sigma_s: Its standard deviation.
+    """
+
+    chance: float
+    took_s: float
+    sigma_s: float
+
+    @classmethod
+    def of(cls, track: Track, begin: Crossing, end: Crossing) -> _Trip:
+        known = np.isfinite(track.covariance_m2).all()
+        return cls(
+            begin.probability * end.probability if known else float("nan"),
+            end.time_utc_s - begin.time_utc_s,
+            float(np.hypot(begin.time_sigma_s, end.time_sigma_s)),
+        )
+
+
+def _trip_columns(trips: Sequence[_Trip]) -> Row:
+    chance = np.array([one.chance for one in trips])
+    took_s = np.array([one.took_s for one in trips])
+    sigma_s = np.array([one.sigma_s for one in trips])
+    n = len(trips)
+    return {
+        "count": n,
+        "expected": _number(chance.sum()),
+        "sigma": _number(np.sqrt((chance * (1.0 - chance)).sum())),
+        "travel_mean_s": _number(took_s.mean()) if n else None,
+        "travel_se_s": _number(np.sqrt((sigma_s**2).sum()) / n) if n else None,
+    }
+
+
 def _journeys(
-    names: Sequence[str],
-    tracks: Sequence[Track],
-    at_lines: Sequence[Sequence[Passage]],
-    bins: _Bins,
+    tracks: Sequence[Track], crossed: Sequence[Sequence[_Visit]], bins: _Bins
 ) -> list[Row]:
     """From the first line that a track crosses to the last, by the interval of the first."""
-    trips: dict[tuple[int, str, str, str], list[tuple[float, float, float]]] = {}
-    for k, track in enumerate(tracks):
-        crossed = sorted(
-            (
-                (crossing, name)
-                for name, passages in zip(names, at_lines, strict=True)
-                for crossing in passages[k].counted
-            ),
-            key=lambda pair: pair[0].time_utc_s,
-        )
-        if len(crossed) < 2:
+    trips: dict[tuple[int, str, str, str], list[_Trip]] = {}
+    for track, visits in zip(tracks, crossed, strict=True):
+        if len(visits) < 2:
             continue
-        (begin, origin), (end, destination) = crossed[0], crossed[-1]
-        known = np.isfinite(track.covariance_m2).all()
-        both = begin.probability * end.probability if known else float("nan")
-        took = end.time_utc_s - begin.time_utc_s
-        sigma = float(np.hypot(begin.time_sigma_s, end.time_sigma_s))
+        (begin, origin), (end, destination) = visits[0], visits[-1]
         key = (bins.number(begin.time_utc_s), _class(track), origin, destination)
-        trips.setdefault(key, []).append((both, took, sigma))
-    rows: list[Row] = []
-    for (i, name, origin, destination), found in sorted(trips.items()):
-        chance, took_s, sigma_s = np.array(found).T
-        n = len(found)
-        rows.append(
-            {
-                **bins.head(i),
-                "class": name,
-                "origin": origin,
-                "destination": destination,
-                "count": n,
-                "expected": _number(chance.sum()),
-                "sigma": _number(np.sqrt((chance * (1.0 - chance)).sum())),
-                "travel_mean_s": _number(took_s.mean()),
-                "travel_se_s": _number(np.sqrt((sigma_s**2).sum()) / n),
-            }
-        )
-    return rows
+        trips.setdefault(key, []).append(_Trip.of(track, begin, end))
+    return [
+        {
+            **bins.head(i),
+            "class": name,
+            "origin": origin,
+            "destination": destination,
+            **_trip_columns(found),
+        }
+        for (i, name, origin, destination), found in sorted(trips.items(), key=lambda kv: kv[0])
+    ]
+
+
+def _flow_rows(
+    flows: Sequence[Flow],
+    tracks: Sequence[Track],
+    crossed: Sequence[Sequence[_Visit]],
+    known: set[str],
+    bins: _Bins,
+) -> list[Row]:
+    """Each track in the one flow that it is in for longest, by the interval of its first crossing.
+
+    So OTAnalytics assigns road users (``application/analysis/traffic_counting.py``,
+    ``SimpleRoadUserAssigner``): of all pairs of crossings that make a flow, the one that takes
+    longest.
+    """
+    for flow in flows:
+        for name in (flow.origin, flow.destination):
+            if name not in known:
+                raise InputError(f"flow {flow.name}: there is no line or zone {name!r}")
+    trips: dict[tuple[int, int, str], list[_Trip]] = {}
+    for track, visits in zip(tracks, crossed, strict=True):
+        pairs = [
+            (end.time_utc_s - begin.time_utc_s, number, begin, end)
+            for k, (begin, origin) in enumerate(visits)
+            for end, destination in visits[k + 1 :]
+            for number, flow in enumerate(flows)
+            if (flow.origin, flow.destination) == (origin, destination)
+        ]
+        if pairs:
+            _, number, begin, end = max(pairs, key=lambda pair: pair[0])
+            key = (bins.number(begin.time_utc_s), number, _class(track))
+            trips.setdefault(key, []).append(_Trip.of(track, begin, end))
+    classes = sorted({_class(track) for track in tracks})
+    return [
+        {
+            **bins.head(i),
+            "name": flow.name,
+            "class": name,
+            "origin": flow.origin,
+            "destination": flow.destination,
+            **_trip_columns(trips.get((i, number, name), [])),
+        }
+        for i in range(len(bins))
+        for number, flow in enumerate(flows)
+        for name in classes
+    ]
 
 
 def _near_misses(tracks: Sequence[Track], limit_m: float | None) -> list[Row]:

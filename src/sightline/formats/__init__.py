@@ -43,6 +43,7 @@ from sightline.formats.kml import kml_track_writer
 from sightline.formats.mfjson import mfjson_track_writer
 from sightline.formats.mot import iter_mot, mot_box_writer, write_mot
 from sightline.formats.nmea import read_nmea
+from sightline.formats.otvision import iter_otvision
 from sightline.formats.parquet import parquet_track_writer, read_parquet_table
 from sightline.formats.track_logs import holds_tracks, track_logs
 from sightline.formats.tracks_csv import csv_track_writer, read_csv_table
@@ -132,7 +133,12 @@ _READERS: dict[str, Callable[[str | os.PathLike[str]], pd.DataFrame]] = {
     ".parquet": read_parquet_table,
     ".gpkg": read_geopackage_table,
 }
-_BOX_READERS = {".csv": iter_boxes_csv, ".txt": iter_mot}
+_BOX_READERS = {
+    ".csv": iter_boxes_csv,
+    ".txt": iter_mot,
+    ".otdet": iter_otvision,
+    ".ottrk": iter_otvision,
+}
 _BOX_WRITERS = {".csv": write_boxes_csv, ".txt": write_mot}
 _BOX_APPENDERS: dict[str, Callable[[Path], AbstractContextManager[BoxWriter]]] = {
     ".csv": csv_box_writer,
@@ -229,10 +235,10 @@ def read_boxes(
     image_size_px: tuple[int, int] | None = None,
     tally: Tally | None = None,
 ) -> Boxes:
-    """All boxes of a file: a CSV table, or a MOTChallenge file (``.txt``).
+    """All boxes of a file: a CSV table, MOTChallenge (``.txt``), or OTVision's.
 
     Args:
-        path: The file; for its columns see `sightline.formats.boxes_csv` and `.mot`.
+        path: The file; for its columns see `sightline.formats.boxes_csv`, `.mot` and `.otvision`.
         source: The source of boxes that name none; None: ``""``.
         skip_empty: Leave out rows whose box has no width or height or no number, as some
             detectors and trackers put them out, and count them, rather than refuse the file.

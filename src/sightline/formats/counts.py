@@ -21,7 +21,15 @@ ENDINGS = (".csv", ".json", ".parquet")
 
 COLUMNS = (
     *("what", "begin_utc", "end_utc", "name", "class", "direction", "bound"),
-    *("count", "expected", "sigma", "speed_mean_mps", "speed_se_mps", "speed_std_mps"),
+    *(
+        "count",
+        "expected",
+        "sigma",
+        "maybe_twice",
+        "speed_mean_mps",
+        "speed_se_mps",
+        "speed_std_mps",
+    ),
     *("entries_count", "entries_expected", "entries_sigma"),
     *("exits_count", "exits_expected", "exits_sigma"),
     *("stays", "dwell_mean_s", "dwell_se_s", "dwell_std_s"),
@@ -39,7 +47,7 @@ _TEXTS = (
     *("origin", "destination", "time_utc", "other_class"),
 )
 _WHOLE = (
-    *("count", "entries_count", "exits_count", "stays"),
+    *("count", "maybe_twice", "entries_count", "exits_count", "stays"),
     *("occupancy_most", "occupancy_most_of_all", "track_id", "other_track_id"),
 )
 

@@ -14,6 +14,8 @@ _SUFFIXES = {
     ".safetensors": "model",
     ".onnx": "detector",
     ".otrfpts": "control points",
+    ".otdet": "boxes",
+    ".ottrk": "boxes",
 }
 _HEAD_BYTES = 65536
 _LOOKED_AT = 4096

@@ -23,7 +23,7 @@ from sightline.types import NO_TRACK, Boxes, FloatArray, Frame, check_inside
 
 T = TypeVar("T")
 
-_TABLE_SUFFIXES = (".csv", ".txt")
+_TABLE_SUFFIXES = (".csv", ".txt", ".otdet", ".ottrk")
 _CHUNK_ROWS = 20_000
 LOOKED_AT = 5
 """Number of frames whose times tell the frame rate."""

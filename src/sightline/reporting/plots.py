@@ -87,7 +87,7 @@ def map_figure(panels: Sequence[MapPanel], *, probability: float = 0.95) -> Figu
     stated = False
     for axes, panel in zip(grid.flat, panels, strict=False):
         stated |= _draw_map(axes, panel, probability)
-        _title(axes, panel.title, fontsize=11)
+        title_panel(axes, panel.title, fontsize=11)
         axes.set_aspect("equal")
         axes.set_xlim(low[0], high[0])
         axes.set_ylim(low[1], high[1])
@@ -317,7 +317,7 @@ def error_over_time(recordings: Mapping[str, ScoredPairs], *, probability: float
     grid = figure.subplots(rows, columns, sharey=True, squeeze=False)
     for axes, (name, pairs) in zip(grid.flat, shown.items(), strict=False):
         _draw_over_time(axes, pairs, probability)
-        _title(axes, name, fontsize=10)
+        title_panel(axes, name, fontsize=10)
         axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
         tidy(axes)
     for axes in grid.flat[len(shown) :]:
@@ -445,6 +445,12 @@ def _nice(value: float) -> float:
     return max(max(step for step in (1.0, 2.0, 5.0) if step * power <= value) * power, 1.0)
 
 
+def check_figure_ending(path: str | Path) -> None:
+    """Raise InputError for a file whose ending no format of figures has."""
+    if Path(path).suffix.lower() not in FIGURE_SUFFIXES:
+        raise InputError(f"{path}: a figure ends in {', '.join(FIGURE_SUFFIXES)}")
+
+
 def save_figure(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
     """Write a figure, whole or not at all; the ending says the format.
 
@@ -456,9 +462,8 @@ def save_figure(figure: Figure, path: str | Path, *, dpi: int = 160) -> None:
     Raises:
         InputError: Another ending, or the file cannot be written.
     """
+    check_figure_ending(path)
     suffix = Path(path).suffix.lower()
-    if suffix not in FIGURE_SUFFIXES:
-        raise InputError(f"{path}: a figure ends in {', '.join(FIGURE_SUFFIXES)}")
     with atomic_path(Path(path)) as temporary:
         # By which a later run knows that it may replace it.
         made_by = {"Software" if suffix == ".png" else "Creator": "sightline"}
@@ -498,7 +503,7 @@ def _dot(colour: str, label: str) -> Line2D:
     return Line2D([], [], color=colour, marker="o", ms=6, ls="", mec="white", label=label)
 
 
-def _title(axes: Axes, name: str, fontsize: int) -> None:
+def title_panel(axes: Axes, name: str, fontsize: int) -> None:
     """A name of the user's as the title of a panel; a dollar sign in it is no formula."""
     title = axes.set_title(figure_text(name), loc="left", fontsize=fontsize, color=_INK)
     title.set_parse_math(False)
