@@ -27,6 +27,7 @@ _UNTYPED = {
     "cli/__init__.py": "typer does not export the class of its errors",
     "cli/track.py": "typer does not export the class of a command's context",
     "detection/_onnxruntime.py": "onnxruntime has no types",
+    "detection/quantization.py": "onnx and onnxruntime have no types",
     "detection/onnx.py": "onnxruntime has no types",
     "fleet/ray_engine.py": "ray has no types",
     "formats/_files.py": "options of pandas",

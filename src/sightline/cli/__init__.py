@@ -11,7 +11,7 @@ from typing import Any
 
 import typer
 
-from sightline import __version__, signals
+from sightline import __version__, limits, signals
 from sightline.cli import common
 from sightline.cli.batch import batch
 from sightline.cli.check import check
@@ -71,11 +71,16 @@ def _print_version(wanted: bool) -> None:
 def _options(
     context: typer.Context,
     debug: bool = typer.Option(False, help="Show the traceback of an error."),
+    threads: int | None = typer.Option(
+        None, metavar="N", help="Threads of each library; absent: one a core."
+    ),
     _version: bool = typer.Option(
         False, "--version", callback=_print_version, is_eager=True, help="Show the version."
     ),
 ) -> None:
     context.ensure_object(common.Settings).debug = debug
+    if threads is not None:
+        limits.limit_threads(threads)
 
 
 def main(arguments: list[str] | None = None) -> None:

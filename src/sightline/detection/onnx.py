@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline import limits
 from sightline.camera.horizon_tracker import HorizonFinder
 from sightline.detection import _onnxruntime
 from sightline.detection._onnx_file import check_onnx_file
@@ -59,7 +60,7 @@ class DetectorOptions:
         threshold: Least confidence of a box.
         overlap: Boxes of a class that overlap by more (intersection over union) are of one thing.
         views: Tiles of a frame. Absent: the strip around the horizon and the scaled frame.
-        threads: Of the CPU. Absent: as many as there are cores.
+        threads: Of the CPU. Absent: what `sightline.limits` allows, or as many as there are cores.
         enlarge: Pixels that the network is shown for one of the frame. Absent: as the views say.
         frame_width_px: Frames that are wider are scaled down to it. Absent: as the views say.
         budget_ms: Time a frame of a video, milliseconds: as many tiles are looked at as the network
@@ -370,6 +371,14 @@ class OnnxDetector:
         left_s = 1e-3 * self._options.budget_ms - other
         return min(max(int(left_s / looking), 1), len(self._views))
 
+    def inputs(self, frame: Frame) -> list[dict[str, NDArray[Any]]]:
+        """What the network is given of a frame, a tile each: arrays by the names of its inputs."""
+        given = []
+        for view, box in zip(self.views(frame), self._boxes_of, strict=True):
+            part = frame.image_bgr[view.y : view.y + view.height, view.x : view.x + view.width]
+            given.append(self._network.feed([box.apply(part, self._network.form.pad)]))
+        return given
+
     def views(self, frame: Frame) -> tuple[Tile, ...]:
         """Tiles of a frame that the network is run on."""
         self._plan(frame)
@@ -576,8 +585,8 @@ class _Network:
         width, height = self.dummy_px
         return self.run([np.zeros((height, width, 3), dtype=np.uint8)])
 
-    def run(self, canvases: Sequence[NDArray[np.uint8]]) -> list[NDArray[Any]]:
-        """Outputs for pictures of one size, (H, W, 3) BGR."""
+    def feed(self, canvases: Sequence[NDArray[np.uint8]]) -> dict[str, NDArray[Any]]:
+        """Inputs of the network for pictures of one size, (H, W, 3) BGR."""
         blob = self._prepared(canvases)
         feed: dict[str, NDArray[Any]] = {self._input.name: blob}
         if self._sizes is not None:
@@ -585,6 +594,11 @@ class _Network:
             feed[_SIZES_INPUT] = np.tile(
                 np.array([[width, height]], dtype=np.int64), (len(blob), 1)
             )
+        return feed
+
+    def run(self, canvases: Sequence[NDArray[np.uint8]]) -> list[NDArray[Any]]:
+        """Outputs for pictures of one size, (H, W, 3) BGR."""
+        feed = self.feed(canvases)
         try:
             return [np.asarray(array) for array in self._session.run(None, feed)]
         except Exception as error:
@@ -647,8 +661,9 @@ def _session(where: str, options: DetectorOptions) -> Any:
     onnxruntime = _onnxruntime.load()
     settings = onnxruntime.SessionOptions()
     settings.log_severity_level = 4
-    if options.threads is not None:
-        settings.intra_op_num_threads = options.threads
+    threads = options.threads or limits.most_threads()
+    if threads is not None:
+        settings.intra_op_num_threads = threads
     # Threads that wait in a loop keep the decoding of the next frame from the core.
     settings.add_session_config_entry("session.intra_op.allow_spinning", "0")
     # What was checked is what is run; a file that is of another format is refused.

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.resources import as_file, files
+from pathlib import Path
 
 from sightline._plugins import loaded, registered
 from sightline.detection.detector import Detector
@@ -79,6 +82,17 @@ def detector_by_name(
 def _harbour(
     horizon_px: tuple[float, float] | None, options: DetectorOptions | None
 ) -> OnnxDetector:
+    with shipped_file() as path:
+        return OnnxDetector(path, name="harbour", options=options, horizon_px=horizon_px)
+
+
+@contextmanager
+def shipped_file() -> Iterator[Path]:
+    """The ONNX file of the detector that ships with the package, while the block lasts.
+
+    Raises:
+        InputError: It is not in this installation.
+    """
     packaged = files("sightline.detection") / "harbour" / "harbour.onnx"
     if not packaged.is_file():
         raise InputError(
@@ -86,4 +100,4 @@ def _harbour(
             "harbour.onnx is missing); install sightline anew, or give an ONNX file"
         )
     with as_file(packaged) as path:
-        return OnnxDetector(path, name="harbour", options=options, horizon_px=horizon_px)
+        yield path

@@ -17,6 +17,7 @@ from typing import BinaryIO
 
 import av
 
+from sightline import limits
 from sightline.errors import InputError
 from sightline.tally import Tally
 from sightline.video.kinds import AS_VIDEO, holds_pictures, why_no_video
@@ -230,6 +231,8 @@ def film_stream(
             f"holds {len(films)} videos; stream {chosen.index} is read, with {chosen.width} x "
             f"{chosen.height} px"
         )
+    # 0, the decoder's own choice, is a thread a core.
+    chosen.codec_context.thread_count = limits.most_threads() or 0
     return chosen
 
 

@@ -10,12 +10,13 @@ from sightline.cli.detector.compare import compare
 from sightline.cli.detector.evaluate import evaluate
 from sightline.cli.detector.export import export
 from sightline.cli.detector.label import label
+from sightline.cli.detector.quantize import quantize
 from sightline.cli.detector.train import train
 
 detector = typer.Typer(
     name="detector",
-    help="Label, train, adapt, measure, compare, export and combine detectors.",
+    help="Label, train, adapt, measure, compare, export, combine and quantise detectors.",
     no_args_is_help=True,
 )
-for command in (label, train, adapt, evaluate, compare, export, combine):
+for command in (label, train, adapt, evaluate, compare, export, combine, quantize):
     detector.command()(command)
