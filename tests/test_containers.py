@@ -36,8 +36,11 @@ def instructions() -> list[tuple[str, str]]:
 
 def test_every_install_in_the_image_is_pinned() -> None:
     installs = [text for name, text in instructions() if name == "RUN" and "pip install" in text]
-    assert len(installs) == 2
-    assert all("--constraint constraints.txt" in text for text in installs)
+    assert [text.count("pip install") for text in installs] == [2, 1]
+    assert all(
+        text.count(" --constraint constraints.txt") == text.count("pip install")
+        for text in installs
+    )
     assert "--build-constraint constraints.txt" in installs[0]
     # The other is of a version that the constraints name.
     assert "s/^onnxruntime==//p" in installs[1]
@@ -232,6 +235,27 @@ def test_the_image_runs_read_only_as_nobody(image: str) -> None:
     capabilities = "print([l for l in open('/proc/self/status') if l.startswith('CapEff')])"
     done = podman(*RUN, "--entrypoint", "python3", image, "-c", capabilities)
     assert "0000000000000000" in done.stdout, done.stderr
+
+
+@pytest.mark.slow
+def test_live_in_the_image_is_healthy_and_ends_in_order(image: str) -> None:
+    script = """
+    sightline simulate -o /tmp/h --recordings 1 --duration 20 > /tmp/log
+    sightline run /tmp/h/scene.toml -o /tmp/r > /tmp/log 2>&1
+    sightline live /tmp/h/01.mp4 --as-live --model /tmp/r/model.safetensors \\
+        --serve 127.0.0.1:8080 --store /tmp/d.db &
+    pid=$!
+    for i in $(seq 60); do
+        sleep 0.5
+        python3 /usr/local/lib/sightline/health.py 2> /tmp/log && echo healthy && break
+    done
+    kill -TERM $pid
+    wait $pid
+    echo status $?
+    """
+    done = podman(*RUN, "--entrypoint", "sh", image, "-c", script)
+    assert "healthy" in done.stdout, done.stderr
+    assert "status 0" in done.stdout, done.stderr
 
 
 @pytest.mark.slow

@@ -134,6 +134,8 @@ COMMANDS = [(page, line) for page in PAGES for line in command_lines(page)]
 def test_commands_are_understood(page: Path, line: list[str]) -> None:
     group: Any = typer.main.get_command(app)
     context = typer.Context(group, info_name="sightline")
+    # What stands before the command is of all of them.
+    _, line, _ = group.make_parser(context).parse_args(list(line))
     command = group.get_command(context, line[0])
     assert command is not None, f"{page.name} names the unknown command {line[0]}"
     while hasattr(command, "list_commands"):
