@@ -256,3 +256,14 @@ def test_a_log_far_from_the_camera_is_refused() -> None:
         check_near(swapped, 54.3, 10.2, "a.csv", "the camera")
     with pytest.raises(InputError, match="is it the right log"):
         check_near(near, -33.9, 151.2, "a.csv", "the camera")
+
+
+def test_swapped_columns_are_told_where_latitude_and_longitude_are_alike() -> None:
+    """Haifa, 32.8 N 35.0 E, is 320 km from where its columns lie the other way round."""
+    time_s, latitude, longitude = on_earth(*boat(1))
+    north, east = latitude - 54.3 + 32.8, longitude - 10.2 + 35.0
+    check_near(Fixes(time_s, north, east), 32.8, 35.0, "a.csv", "the camera")
+    with pytest.raises(InputError, match=r"nearest fix is 3\d\d km from the camera.*swapped"):
+        check_near(Fixes(time_s, east, north), 32.8, 35.0, "a.csv", "the camera")
+    # As far, and no nearer the other way round.
+    check_near(Fixes(time_s, north + 3.0, east), 32.8, 35.0, "a.csv", "the camera")

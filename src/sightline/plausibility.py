@@ -165,6 +165,8 @@ def check_near(
 ) -> None:
     """Raise InputError where no fix of a log is within `FARTHEST_M` of a place.
 
+    Nor may one be within `FARTHEST_SEEN_M` only with latitude and longitude the other way round.
+
     Args:
         fixes: The log.
         latitude_deg: Of the place, degrees north.
@@ -181,13 +183,16 @@ def check_near(
     place = np.array([latitude_deg]), np.array([longitude_deg])
     away_m = distance_m(fixes.latitude_deg, fixes.longitude_deg, *place)
     nearest = int(np.argmin(away_m))
-    if away_m[nearest] <= FARTHEST_M:
+    if away_m[nearest] <= FARTHEST_SEEN_M:
         return
     swapped = fixes.longitude_deg[nearest : nearest + 1], fixes.latitude_deg[nearest : nearest + 1]
     turned_m = float(distance_m(*swapped, *place)[0]) if abs(swapped[0][0]) <= 90.0 else np.inf
     mend = "is it the right log?"
-    if turned_m <= FARTHEST_M:
+    # Near the line of equal latitude and longitude what is swapped stays near.
+    if turned_m <= min(FARTHEST_M, 0.1 * away_m[nearest]):
         mend = "are latitude and longitude swapped?"
+    elif away_m[nearest] <= FARTHEST_M:
+        return
     raise InputError(
         f"{where}: its nearest fix is {away_m[nearest] / 1000.0:,.0f} km from {what}, at "
         f"{fixes.latitude_deg[nearest]:.6f}, {fixes.longitude_deg[nearest]:.6f}; {mend}"

@@ -126,7 +126,10 @@ def test_encodings_of_gpx(tmp_path: Path, encoding: str) -> None:
     [
         (FORMS["plain"] + FORMS["plain"], "junk after document element"),
         (FORMS["plain"].replace("xmlns:a", "xmlns:b").replace("<trk>", "<trk><a:b/>"), "prefix"),
-        ("<kml><Placemark/></kml>", "its first element is kml"),
+        (
+            "<osm><node/></osm>",
+            "its first element is osm; expected GPX, KML with a gx:Track, or TCX",
+        ),
         (ROOT + "<trk>" * 100_000, "its elements lie too deep"),
         (ROOT + "<a:b>" * 150 + "</a:b>" * 150 + "</gpx>", "has no track points"),
         (FORMS["plain"].replace("54.3000", "north"), r"point 2: north1 is no number \(lat\)"),

@@ -59,6 +59,7 @@ VERSION = {"class": "VERSION", "release": "3.25", "proto_major": 3}
 SKY = {"class": "SKY", "device": "/dev/ttyACM0", "satellites": []}
 POSITIONS = [[10.13, north_deg(i), 2.0] for i in range(N)]
 TIMES = [stamp(i) for i in range(N)]
+OBJECTS = [{"time": t, "lat": p[1], "lon": p[0]} for p, t in zip(POSITIONS, TIMES, strict=True)]
 
 
 def feature(kind: str, positions: Any, properties: dict[str, Any]) -> dict[str, Any]:
@@ -111,6 +112,40 @@ LOGS = {
     "GeoJSON of points": collection(
         *(feature("Point", p, {"time": t}) for p, t in zip(POSITIONS, TIMES, strict=True))
     ),
+    "Moving Features": json.dumps(
+        {
+            "type": "Feature",
+            "temporalGeometry": {
+                "type": "MovingPoint",
+                "datetimes": TIMES,
+                "coordinates": POSITIONS,
+            },
+        }
+    ),
+    "GeoJSON of points with other names": collection(
+        *(feature("Point", p, {"datetime": t}) for p, t in zip(POSITIONS, TIMES, strict=True))
+    ),
+    "a list": json.dumps(OBJECTS),
+    "a list over lines": json.dumps(OBJECTS, indent=2),
+    "a list of an object a line": "[\n" + ",\n".join(map(json.dumps, OBJECTS)) + "\n]\n",
+    "a list that was cut short": "[\n" + "".join(json.dumps(one) + ",\n" for one in OBJECTS),
+    "a list within": json.dumps({"device": "7", "points": OBJECTS}),
+    "Google's records": json.dumps(
+        {
+            "locations": [
+                {"timestamp": t, "latitudeE7": f"{p[1] * 1e7:.0f}", "longitudeE7": 101300000}
+                for p, t in zip(POSITIONS, TIMES, strict=True)
+            ]
+        },
+        indent=1,
+    ),
+    "places within objects": lines(
+        *({"timestamp": one["time"], "coords": {**one, "time": 7}} for one in OBJECTS)
+    ),
+    "a list for each column": json.dumps(
+        {"time": TIMES, "lat": [p[1] for p in POSITIONS], "lon": [10.13] * N}
+    ),
+    "Signal K in a list": json.dumps([delta(i) for i in range(N)]),
     "a feature alone": json.dumps(feature("LineString", POSITIONS, {"coordTimes": TIMES})),
 }
 
@@ -156,12 +191,13 @@ COCO = json.dumps([{"image_id": 1, "category_id": 9, "bbox": [1.0, 2.0, 3.0, 4.0
     ("text", "message"),
     [
         (collection(feature("LineString", POSITIONS, {})), "its points have no times; expected a"),
-        (collection(), "is GeoJSON, and holds no point with no times"),
+        (collection(), "is GeoJSON, and holds no point with times"),
         (COCO, "is JSON of boxes, as COCO has it, .* header frame,left,top,width,height"),
-        (json.dumps({"a": 1}, indent=1), "is JSON, but not of an object a line"),
+        (json.dumps({"a": 1}, indent=1), "is JSON, and holds no fix that is known"),
         (json.dumps({"locations": [{"latitudeE7": 1}]}), "holds no fix that is known"),
-        (lines(VERSION, SKY), "holds no fix that is known; expected lines of gpsd"),
-        ("[" * 100_000, "is JSON, but not of an object a line"),
+        (lines(VERSION, SKY), "holds no fix that is known; expected gpsd"),
+        ("[" * 100_000, "is no JSON, is damaged, or is cut short"),
+        (json.dumps(OBJECTS)[:-30], "is no JSON, is damaged, or is cut short"),
         ('{"type": "Feature", ' * 9_000, "is no JSON, is damaged, or is cut short"),
     ],
 )

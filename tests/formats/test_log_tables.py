@@ -78,6 +78,14 @@ def on(form: str) -> object:
     return written
 
 
+def ublox(second: float) -> str:
+    """NAV-PVT rounds to the nearest second, and the rest may be below zero."""
+    whole = round(second)
+    moment = datetime.fromtimestamp(START_S + whole, UTC).strftime("%Y,%m,%d,%H,%M,%S")
+    return f"{moment},{round((second - whole) * 1e9)}"
+
+
+GERMAN = rows_of(iso, lambda value: german(decimal(value)), lambda value: german(decimal(value)))
 TEXTS = {
     "plain": table(),
     "upper case": table("TIME_UTC,LATITUDE_DEG,LONGITUDE_DEG"),
@@ -186,6 +194,55 @@ TEXTS = {
     "each row twice": table(form="{0},{1},{2}\n{0},{1},{2}"),
     "rows without a fix": table(form="{0},{1},{2}\n{0},nan,nan\n{0},,\n{0},0,0\n{0},-,null"),
     "cut short": table() + "2024-06-01T10:0",
+    "a header over two lines": table('"Time\n(UTC)","Latitude\n(deg)","Longitude\n(deg)"'),
+    "a header over three lines": table(
+        '"Time";"Latitude\n\n[deg]";"Longitude\n[deg]"', "{0};{1};{2}", before="unit 7\n"
+    ),
+    "German": table("Zeit;Breite;Länge", "{0};{1};{2}", rows=GERMAN),
+    "German in two columns": table(
+        "Datum;Uhrzeit;Geogr. Breite;Geogr. Länge", "{0};{1};{2}", rows=rows_of(
+            on("%d.%m.%Y;%H:%M:%S,%f"), lambda v: german(decimal(v)), lambda v: german(decimal(v))
+        ),
+    ),
+    "French": table(
+        "Horodatage;Latitude;Longitude", "{0};{1};{2}", rows=rows_of(
+            on("%d/%m/%Y %H:%M:%S.%f"), lambda v: german(decimal(v)), lambda v: german(decimal(v))
+        ),
+    ),
+    "Spanish": table(
+        "Fecha;Hora;Latitud;Longitud", "{0};{1};{2}", rows=rows_of(
+            on("%d/%m/%Y;%H:%M:%S.%f"), lambda v: german(decimal(v)), lambda v: german(decimal(v))
+        ),
+    ),
+    "Italian": table("Data e ora,Latitudine,Longitudine"),
+    "Dutch": table("Tijdstip,Breedtegraad,Lengtegraad"),
+    "parts of a time": table(
+        "year,month,day,hour,min,sec,lat,lon",
+        rows=rows_of(on("%Y,%m,%d,%H,%M,%S.%f"), decimal, decimal),
+    ),
+    "parts of a u-blox": table(
+        "iTOW,year,month,day,hour,min,sec,nano,lon,lat", "1,{0},{2},{1}",
+        rows=rows_of(ublox, lambda v: f"{v * 1e7:.0f}", lambda v: f"{v * 1e7:.0f}"),
+    ),
+    "parts of a date": table(
+        "Year,Month,Day,Time,Lat,Lon", rows=rows_of(on("%Y,%m,%d,%H:%M:%S.%f"), decimal, decimal)
+    ),
+    "text of a spreadsheet": table("time,lat,lon", "'{0},'{1},'{2}"),
+    "text as a formula": table("time,lat,lon", '="{0}",="{1}",="{2}"'),
+    "single quotes": table("'time','lat','lon'", "'{0}','{1}','{2}'"),
+    "names within names": table("nr,field.time,field.latitude,field.longitude", "7,{0},{1},{2}"),
+    "RTKLIB": table(
+        "%  UTC                  latitude(deg) longitude(deg)  height(m)   Q  ns",
+        "{0}   {1}   {2}   12.0   5   8",
+        before="% program   : RTKLIB ver.2.4.2\n",
+        rows=rows_of(on("%Y/%m/%d %H:%M:%S.%f"), decimal, decimal),
+    ),
+    "times of a flight and of the day": table(
+        "time(millisecond),datetime(utc),latitude,longitude", "100,{0},{1},{2}"
+    ),
+    "GoPro": table(
+        '"cts","date","GPS (Lat.) [deg]","GPS (Long.) [deg]","GPS (Alt.) [m]"', "1,{0},{1},{2},3"
+    ),
 }  # fmt: skip
 
 
@@ -291,6 +348,13 @@ MINUTES = "".join(
     [
         ("time,timestamp,lat,lon\n", "columns time and timestamp may both be its time; call the"),
         ("time,lat,latitude,lon\n", "columns lat and latitude may both be its latitude"),
+        ("time,position\n", "found time, position; if position holds both, make two columns of it"),
+        ("time,easting,northing\n", "easting is of a grid in metres: write degrees"),
+        (f"{WHEN},54.3,10.1\n", "is its first line a header"),
+        ("GPST,latitude,longitude\n", "are those of GPS, whole seconds ahead of UTC"),
+        ("year,month,day,lat,lon\n", "none of the hour, the minute and the second"),
+        ("field.local_time,lat,lon\n", "its only time is field.local_time, which names no zone"),
+        ("Ortszeit;Breite;Länge\n", "its only time is Ortszeit, which names no zone"),
         ("when,lat,lon\n", "lacks the column time_utc; found when, lat, lon"),
         ("local time,lat,lon\n", "its only time is local time, which names no zone"),
         ("time,lat_rad,lon_rad\n1,0.9,0.1\n", "lacks the columns latitude_deg, longitude_deg"),

@@ -160,14 +160,14 @@ def _by_suffix(path: str | os.PathLike[str], known: dict[str, T], what: str) -> 
 def read_fixes(
     path: str | os.PathLike[str], *, mmsi: int | None = None, tally: Tally | None = None
 ) -> Fixes:
-    """The log of one vessel or vehicle: GPX, NMEA 0183, AIS, CSV or JSON.
+    """The log of one vessel or vehicle: GPX, KML, TCX, NMEA 0183, AIS, CSV or JSON.
 
-    What is in the file decides: XML is GPX; ``$..RMC``, ``GGA``, ``GNS`` and ``GLL`` sentences are
-    the log of a receiver on board; ``!..VDM`` sentences are AIS; a table needs the columns
-    ``time_utc,latitude_deg,longitude_deg``, or what other programs call them, and is AIS where it
-    has a column ``mmsi`` as well; JSON is of gpsd, of Signal K, GeoJSON with times, or an object a
-    line. A log with both kinds of sentences is read as AIS if an MMSI is given. Fixes that cannot
-    be true are left out and counted; see `sightline.plausibility`.
+    What is in the file decides: XML is GPX, KML or TCX; ``$..RMC``, ``GGA``, ``GNS`` and ``GLL``
+    sentences are the log of a receiver on board; ``!..VDM`` sentences are AIS; a table needs the
+    columns ``time_utc,latitude_deg,longitude_deg``, or what other programs call them, and is AIS
+    where it has a column ``mmsi`` as well; JSON is of gpsd, of Signal K, GeoJSON with times, or
+    objects with a time and a place. A log with both kinds of sentences is read as AIS if an MMSI is
+    given. Fixes that cannot be true are left out and counted; see `sightline.plausibility`.
 
     Args:
         path: The file.
@@ -199,8 +199,8 @@ def read_fixes(
     if Path(path).suffix.lower() == ".csv" or is_log_table(head):
         return read_fixes_csv(path, tally=tally)
     raise InputError(
-        f"{path}: is no log that is known; expected GPX, NMEA 0183 (RMC, GGA, GNS or GLL), AIS "
-        "(!AIVDM) or a table with time_utc,latitude_deg,longitude_deg"
+        f"{path}: is no log that is known; expected GPX, KML, NMEA 0183 (RMC, GGA, GNS or GLL), "
+        "AIS (!AIVDM), JSON or a table with time_utc,latitude_deg,longitude_deg"
     )
 
 

@@ -12,7 +12,8 @@ import pandas as pd
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
 from sightline.formats._degrees import read_degrees
-from sightline.formats._log_table import mps_of_unit, read_log_table, zone_s
+from sightline.formats._log_names import mps_of_unit
+from sightline.formats._log_table import read_log_table, zone_s
 from sightline.tally import Tally
 from sightline.types import FloatArray
 

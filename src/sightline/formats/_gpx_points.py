@@ -1,28 +1,16 @@
-"""The points of GPX files as they stand there, read by expat without a tree in memory."""
+"""The points of GPX files as they stand there, found among what expat reads."""
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass, field
-from xml.parsers import expat
-
-from sightline.errors import InputError
-from sightline.formats import _files
 
 _NAMESPACES = (
     "",
     "http://www.topografix.com/GPX/1/0",
     "http://www.topografix.com/GPX/1/1",
 )
-_MOST_BYTES = 256 * 2**20
-_DEEPEST = 200
 _POINTS = {"trkpt": ["gpx", "trk", "trkseg"], "rtept": ["gpx", "rte"], "wpt": ["gpx"]}
-_SEPARATOR = "\x1f"
-_ENCODINGS = re.compile(
-    r"(?i:utf-8-sig|utf-16(-le|-be)?|(us-)?ascii|latin-?1|iso[-_]?8859-\d+|windows-125\d|cp125\d"
-    r"|gb\w+|big5|shift[-_]jis|euc-\w+|koi8-\w)"
-)
 
 
 @dataclass
@@ -75,67 +63,27 @@ class GpxPoints:
     """The points of a file.
 
     Attributes:
+        format: GPX, KML or TCX.
         tracks: A line a segment.
         routes: A line a route.
         waypoints: One line.
+        lacks: What is said where none of its points has a time.
+        wrong: Why it is refused whatever else it holds, or ``""``.
     """
 
-    tracks: list[GpxLine]
-    routes: list[GpxLine]
-    waypoints: list[GpxLine]
+    format: str
+    tracks: list[GpxLine] = field(default_factory=list)
+    routes: list[GpxLine] = field(default_factory=list)
+    waypoints: list[GpxLine] = field(default_factory=lambda: [GpxLine()])
+    lacks: str = ""
+    wrong: str = ""
 
 
-def read_gpx_points(path: str | os.PathLike[str]) -> GpxPoints:
-    """Read the points of a GPX file.
-
-    Raises:
-        InputError: The file is too large, no XML, cut short, or no GPX; or it declares a document
-            type.
-    """
-    text = _decoded(path)
-    reader = _Reader(path)
-    parser = expat.ParserCreate("utf-8", _SEPARATOR)
-    parser.buffer_text = True
-    parser.StartDoctypeDeclHandler = reader.document_type
-    parser.StartElementHandler = reader.start
-    parser.EndElementHandler = reader.end
-    parser.CharacterDataHandler = reader.characters
-    try:
-        parser.Parse(text.encode("utf-8", errors="replace"), True)
-    except expat.ExpatError as error:
-        raise InputError(
-            f"{path}: is no GPX file, is damaged, or is cut short ({' '.join(str(error).split())})"
-        ) from error
-    return GpxPoints(reader.tracks, reader.routes, [reader.waypoints])
-
-
-def _decoded(path: str | os.PathLike[str]) -> str:
-    found = _files.existing(path)
-    if found.stat().st_size > _MOST_BYTES:
-        raise InputError(
-            f"{path}: is larger than {_MOST_BYTES // 2**20} MiB; split it into several logs"
-        )
-    data = found.read_bytes()
-    declared = re.match(rb"""\s*<\?xml[^>]*encoding\s*=\s*["']([A-Za-z0-9._-]+)""", data)
-    encoding = _files.text_encoding(data[:256])
-    # What declares itself byte by byte is not in an encoding of two bytes.
-    if declared and not declared[1].lower().startswith((b"utf-8", b"utf8", b"utf-16", b"utf16")):
-        encoding = declared[1].decode("ascii")
-    if not _ENCODINGS.fullmatch(encoding):
-        raise InputError(f"{path}: is in the encoding {_files.shortened(encoding)}; expected UTF-8")
-    try:
-        text = data.decode(encoding)
-    except (UnicodeError, LookupError) as error:
-        raise InputError(f"{path}: is not text in {encoding}, so it is no GPX file") from error
-    # The text is decoded: what encoding it once had is no longer true. Lines keep their numbers.
-    return re.sub(r"^\s*<\?xml[^>]*\?>", "", text.lstrip("\ufeff"), count=1)
-
-
-class _Reader:
+class GpxReader:
     """Takes what expat finds: elements of GPX in their places, and nothing else."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self._path = path
+    def __init__(self) -> None:
+        self.points = GpxPoints("GPX")
         # Local names of GPX elements, None for those of others.
         self._open: list[str | None] = []
         self._namespace = ""
@@ -143,28 +91,11 @@ class _Reader:
         self._point: GpxPoint | None = None
         self._track = GpxTrack()
         self._counts = dict.fromkeys(_POINTS, 0)
-        self.tracks: list[GpxLine] = []
-        self.routes: list[GpxLine] = []
-        self.waypoints = GpxLine()
 
-    def document_type(self, *_: object) -> None:
-        """Refuse a document type: GPX has none, and entities in it can fill the memory."""
-        raise InputError(
-            f"{self._path}: declares a document type, which GPX has none of and which can be "
-            "abused; remove the <!DOCTYPE ...> declaration"
-        )
-
-    def start(self, written: str, attributes: dict[str, str]) -> None:
+    def start(self, namespace: str, name: str, attributes: dict[str, str]) -> None:
         """Take the beginning of an element."""
-        namespace, _, name = written.rpartition(_SEPARATOR)
         if not self._open:
-            if name != "gpx":
-                raise InputError(
-                    f"{self._path}: is no GPX file; its first element is {_files.shortened(name)}"
-                )
             self._namespace = namespace
-        if len(self._open) >= _DEEPEST:
-            raise InputError(f"{self._path}: is no GPX file; its elements lie too deep")
         ours = namespace == self._namespace or namespace in _NAMESPACES
         above = self._open[:]
         self._open.append(name if ours else None)
@@ -173,9 +104,9 @@ class _Reader:
         if name == "trk" and above == ["gpx"]:
             self._track = GpxTrack()
         elif name == "trkseg" and above == ["gpx", "trk"]:
-            self.tracks.append(GpxLine(self._track))
+            self.points.tracks.append(GpxLine(self._track))
         elif name == "rte" and above == ["gpx"]:
-            self.routes.append(GpxLine())
+            self.points.routes.append(GpxLine())
         elif _POINTS.get(name) == above:
             self._counts[name] += 1
             latitude, longitude = (attributes.get(key, "").strip() for key in ("lat", "lon"))
@@ -186,7 +117,7 @@ class _Reader:
         ):
             self._text = []
 
-    def end(self, _: str) -> None:
+    def end(self) -> None:
         """Take the end of an element."""
         name = self._open.pop()
         if name in _POINTS:
@@ -210,5 +141,5 @@ class _Reader:
 
     def _line(self, point: str) -> GpxLine:
         if point == "wpt":
-            return self.waypoints
-        return (self.tracks if point == "trkpt" else self.routes)[-1]
+            return self.points.waypoints[0]
+        return (self.points.tracks if point == "trkpt" else self.points.routes)[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -15,7 +16,8 @@ import pandas as pd
 
 from sightline.errors import InputError
 from sightline.formats import _files
-from sightline.formats._log_table import LogTable, alias_of
+from sightline.formats._log_names import of_place_and_time
+from sightline.formats._log_table import LogTable
 from sightline.formats._receivers import Source, of_one_receiver
 from sightline.formats._times import NotUnderstoodError, read_times
 from sightline.tally import Tally
@@ -24,10 +26,12 @@ from sightline.text import encodable_text
 _MOST_BYTES = 512 * 2**20
 _GEOJSON = re.compile(r'"type"\s*:\s*"(?:FeatureCollection|Feature|(?:Multi)?LineString|Point)"')
 _COCO = re.compile(r'"(?:bbox|annotations|image_id|segmentation)"\s*:')
-_GPSD = re.compile(r'"class"\s*:\s*"(?:VERSION|DEVICES?|WATCH|TPV|SKY|PPS|TOFF)"')
-_LINE = re.compile(r"^\s*\{.*\}\s*$", re.MULTILINE)
+_GPSD_CLASSES = ("VERSION", "DEVICES", "DEVICE", "WATCH", "TPV", "SKY", "PPS", "TOFF")
+_GPSD = re.compile(rf'"class"\s*:\s*"(?:{"|".join(_GPSD_CLASSES)})"')
+_LINE = re.compile(r"^\s*\{.*\},?\s*$", re.MULTILINE)
 _FIX_MODES = (2, 3)
 _NO_FIX = "without a fix"
+_DEEPEST = 20
 
 
 def is_json(head: str) -> bool:
@@ -96,11 +100,11 @@ def read_json_log(path: str | os.PathLike[str], tally: Tally) -> tuple[LogTable,
     if _GEOJSON.search(head) and not _GPSD.search(head):
         rows, counted = _of_geojson(path, tally), "point"
     else:
-        rows, counted = _of_lines(path, head, tally), "line"
+        rows, counted = _of_objects(path, tally)
     if not rows.row:
         raise InputError(
-            f"{path}: is JSON, and holds no fix that is known; expected lines of gpsd (TPV), of "
-            "Signal K (navigation.position), or of objects with a time, a latitude and a longitude"
+            f"{path}: is JSON, and holds no fix that is known; expected gpsd (TPV), Signal K "
+            "(navigation.position), or objects with a time, a latitude and a longitude"
         )
     tally.count("rows", len(rows.row))
     kept = _of_one_receiver(rows, tally)
@@ -137,53 +141,144 @@ def _of_one_receiver(rows: _Rows, tally: Tally) -> np.ndarray:
     return kept
 
 
-def _of_lines(path: str | os.PathLike[str], head: str, tally: Tally) -> _Rows:
-    """Fixes of a log with an object a line."""
+def _of_objects(path: str | os.PathLike[str], tally: Tally) -> tuple[_Rows, str]:
+    """Fixes of a log with an object a line, or of a document that has them in lists."""
     tally.format = "JSON lines"
-    if not _LINE.search(head):
-        raise InputError(
-            f"{path}: is JSON, but not of an object a line; expected a log of gpsd, Signal K, GPX, "
-            "NMEA 0183 or a table with time_utc,latitude_deg,longitude_deg"
-        )
-    rows = _Rows()
-    own = ""
+    taken = _Objects(tally, "line")
+    if not _is_of_lines(path):
+        try:
+            document = json.loads(_files.whole_text(path, _MOST_BYTES))
+        except (ValueError, RecursionError) as error:
+            if not _LINE.search(_files.beginning(path)):
+                raise InputError(
+                    f"{path}: is no JSON, is damaged, or is cut short ({error})"
+                ) from error
+        else:
+            tally.format = "JSON"
+            taken.counted = "object"
+            for number, found in enumerate(_objects(document), start=1):
+                taken.take(number, found)
+            return taken.rows, taken.counted
     for number, line in _files.log_lines(path):
-        text = line.strip()
-        if not text:
+        # A list of an object a line that was cut short, or grows.
+        text = line.strip().removesuffix(",")
+        if text in ("", "[", "]"):
             continue
         try:
             found = json.loads(text)
         except (ValueError, RecursionError):
             tally.leave_out("lines that are no JSON", row=f"line {number}", text=text)
             continue
-        if not isinstance(found, dict):
-            continue
+        if isinstance(found, dict):
+            taken.take(number, found)
+    return taken.rows, taken.counted
+
+
+def _is_of_lines(path: str | os.PathLike[str]) -> bool:
+    """Whether a file has more than a line, and the first is a value of its own."""
+    lines = (line.strip() for _, line in _files.log_lines(path))
+    filled = list(itertools.islice((line for line in lines if line), 2))
+    if len(filled) < 2:
+        return False
+    try:
+        json.loads(filled[0])
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _objects(document: Any, depth: int = 0) -> Iterator[dict[str, Any]]:
+    """The objects of a document that may be fixes, in their order."""
+    if depth > _DEEPEST:
+        return
+    if isinstance(document, dict):
+        if _is_message(document) or _fix_of(document) is not None:
+            yield document
+            return
+        document = list(document.values())
+    if isinstance(document, list):
+        for one in document:
+            if isinstance(one, dict | list):
+                yield from _objects(one, depth + 1)
+
+
+def _is_message(found: dict[str, Any]) -> bool:
+    return "class" in found or "updates" in found
+
+
+def _fix_of(found: dict[str, Any]) -> tuple[Any, tuple[Any, Any]] | None:
+    """Time and place of an object, whatever its program calls them; None: it has not both.
+
+    The place may be an object of its own within, as ``{"position": {"lat": ...}}``.
+    """
+    names = of_place_and_time(found)
+    if "time" not in names:
+        return None
+    if {"latitude", "longitude"} <= names.keys():
+        return found[names["time"]], (found[names["latitude"]], found[names["longitude"]])
+    for inner in found.values():
+        if isinstance(inner, dict):
+            place = of_place_and_time(inner)
+            if {"latitude", "longitude"} <= place.keys():
+                return found[names["time"]], (inner[place["latitude"]], inner[place["longitude"]])
+    return None
+
+
+@dataclass
+class _Objects:
+    """Takes fixes out of objects.
+
+    Attributes:
+        tally: Takes what is left out.
+        counted: What the numbers of objects count: lines, or objects.
+        rows: What was found.
+        own: Whose deltas of Signal K are those of the vessel itself, or ``""``.
+    """
+
+    tally: Tally
+    counted: str
+    rows: _Rows = field(default_factory=_Rows)
+    own: str = ""
+
+    def take(self, number: int, found: dict[str, Any]) -> None:
+        """Take the fixes of an object, if it has any."""
+        where = f"{self.counted} {number}"
         if "class" in found and "lat" not in found and found.get("class") != "TPV":
-            tally.format = "gpsd" if _GPSD.search(text) else tally.format
+            if found["class"] in _GPSD_CLASSES:
+                self.tally.format = "gpsd"
         elif found.get("class") == "TPV":
-            tally.format = "gpsd"
+            self.tally.format = "gpsd"
             if found.get("mode") not in _FIX_MODES:
-                tally.leave_out(_NO_FIX, row=f"line {number}")
+                self.tally.leave_out(_NO_FIX, row=where)
             else:
                 place = (found.get("lat"), found.get("lon"))
-                rows.add(number, found.get("time"), place, found.get("device"))
+                self.rows.add(number, found.get("time"), place, found.get("device"))
         elif "updates" in found:
-            tally.format = "Signal K"
-            context = found.get("context")
-            if context in (None, own, "vessels.self"):
-                _add_delta(rows, number, found["updates"])
+            self.tally.format = "Signal K"
+            if found.get("context") in (None, self.own, "vessels.self"):
+                _add_delta(self.rows, number, found["updates"])
             else:
-                tally.leave_out("deltas of other vessels (context)", row=f"line {number}")
+                self.tally.leave_out("deltas of other vessels (context)", row=where)
         elif isinstance(found.get("self"), str):
             # The server's greeting says whose deltas these are.
-            own = (
-                found["self"]
-                if found["self"].startswith("vessels.")
-                else f"vessels.{found['self']}"
-            )
+            own = found["self"]
+            self.own = own if own.startswith("vessels.") else f"vessels.{own}"
         else:
-            _add_object(rows, number, found)
-    return rows
+            self._take_fix(number, found)
+
+    def _take_fix(self, number: int, found: dict[str, Any]) -> None:
+        fix = _fix_of(found)
+        if fix is None:
+            return
+        time, place = fix
+        columns = (time, *place)
+        if all(isinstance(column, list) for column in columns):
+            # A list for each column.
+            if len({len(column) for column in columns}) == 1:
+                for i, (when, *where) in enumerate(zip(*columns, strict=True), start=1):
+                    self.rows.add(i, when, (where[0], where[1]))
+            return
+        self.rows.add(number, time, place)
 
 
 def _add_delta(rows: _Rows, number: int, updates: Any) -> None:
@@ -195,14 +290,6 @@ def _add_delta(rows: _Rows, number: int, updates: Any) -> None:
                 if isinstance(place, dict):
                     where = (place.get("latitude"), place.get("longitude"))
                     rows.add(number, update.get("timestamp"), where, update.get("$source"))
-
-
-def _add_object(rows: _Rows, number: int, found: dict[str, Any]) -> None:
-    """Take an object with a time and a place, whatever its program calls them."""
-    names = {alias_of(name): name for name in reversed(found)}
-    if {"time", "latitude", "longitude"} <= names.keys():
-        place = (found[names["latitude"]], found[names["longitude"]])
-        rows.add(number, found[names["time"]], place)
 
 
 def _of_geojson(path: str | os.PathLike[str], tally: Tally) -> _Rows:
@@ -223,7 +310,7 @@ def _of_geojson(path: str | os.PathLike[str], tally: Tally) -> _Rows:
             rows.add(len(rows.row) + 1, time, (place[1], place[0]))
     if not rows.row:
         raise InputError(
-            f"{path}: is GeoJSON, and {'its points have' if points else 'holds no point with'} no "
+            f"{path}: is GeoJSON, and {'its points have no' if points else 'holds no point with'} "
             "times; expected a property coordTimes with a time for each point of a LineString, or "
             "a property time of each Point; or export the log as GPX"
         )
@@ -236,16 +323,22 @@ def _lines_of(document: Any) -> Iterator[tuple[list[Any], list[Any]]]:
     for feature in features if isinstance(features, list) else [document]:
         geometry = feature.get("geometry") if isinstance(feature, dict) else None
         properties = feature.get("properties") if isinstance(feature, dict) else None
+        told = properties if isinstance(properties, dict) else {}
+        if isinstance(feature, dict) and isinstance(feature.get("temporalGeometry"), dict):
+            # OGC Moving Features JSON.
+            told = {"coordTimes": feature["temporalGeometry"].get("datetimes")}
+            geometry = {"type": "LineString"} | {
+                "coordinates": feature["temporalGeometry"].get("coordinates")
+            }
         if not isinstance(geometry, dict):
             continue
-        told = properties if isinstance(properties, dict) else {}
         inner = told.get("coordinateProperties")
         times = told.get("coordTimes") or (inner.get("times") if isinstance(inner, dict) else None)
         positions = geometry.get("coordinates")
         if not isinstance(positions, list):
             continue
         if geometry.get("type") == "Point":
-            yield [positions], [told.get("time", told.get("timestamp"))]
+            yield [positions], [told.get(of_place_and_time(told).get("time", "time"))]
         elif geometry.get("type") == "LineString":
             yield positions, times if isinstance(times, list) else []
         elif geometry.get("type") == "MultiLineString":

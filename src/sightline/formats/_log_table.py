@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -14,64 +15,29 @@ import pandas as pd
 
 from sightline.errors import InputError
 from sightline.formats import _files
+from sightline.formats._log_names import (
+    ANY_LATITUDE,
+    ANY_LONGITUDE,
+    ANY_TIME,
+    COURSES,
+    DATES,
+    HEADINGS,
+    HEMISPHERES,
+    LATITUDES,
+    LOCAL,
+    LONGITUDES,
+    PARTS,
+    TIMES,
+    VESSELS,
+    ZONES,
+    day_first,
+    is_speed,
+    plain,
+    tail,
+    what_mends,
+)
 from sightline.formats._zones import offset_in, told_offset_s
 from sightline.types import FloatArray
-
-
-def _names(*groups: str) -> tuple[tuple[str, ...], ...]:
-    return tuple(tuple(group.split()) for group in groups)
-
-
-# Names of columns, less case and marks; those of an earlier group are taken first.
-_TIMES = _names(
-    "timeutc utctime datetimeutc utcdatetime timestamputc utctimestamp utc",
-    "time timestamp datetime",
-    "gpstime gpstimestamp gpsdatetime isotime iso8601 iso8601time fixtime datetimestamp "
-    "basedatetime",
-    "loggedat recordedat createdat devicetime locationtime timeofday",
-    "epoch epochtime unix unixtime unixtimestamp posix posixtime ts timems timestampms epochms "
-    "unixms unixtimems timens timestampns timesec times timestamps timestampus timeus "
-    "timestampmillis timemillis tst",
-)
-_DATES = ("dateutc", "utcdate", "date", "gpsdate", "fixdate", "day")
-_ZONES = ("tz", "timezone", "tzoffset", "utcoffset", "timezoneoffset", "gmtoffset")
-_LOCAL = ("timelocal", "localtime", "datetimelocal", "localdatetime")
-_LATITUDES = _names(
-    "latitudedeg",
-    "latitude lat latdeg latitudedegrees gpslatitude gpslat latitudedd latdd latdegrees "
-    "latitudewgs84 latwgs84 positionlat positionlatitude locationlat latitudedecimal latdecimal "
-    "latitudens latns latddmm latddmmmmmm latitudeddmm latnmea latitudenmea",
-    "latitudee7 late7 latitudee6 late6",
-)
-_LONGITUDES = _names(
-    "longitudedeg",
-    "longitude lon lng long londeg lngdeg longitudedegrees gpslongitude gpslon gpslong gpslng "
-    "longitudedd londd londegrees longitudewgs84 lonwgs84 positionlon positionlong "
-    "positionlongitude locationlon locationlng longitudedecimal londecimal longitudeew lonew "
-    "londdmm londddmm londddmmmmmm longitudeddmm longitudedddmm lonnmea longitudenmea",
-    "longitudee7 lone7 lnge7 longitudee6 lone6 lnge6",
-)
-_HEMISPHERES = _names(
-    "ns northsouth latns nsindicator latdir latdirection latitudedir latitudedirection lathemi "
-    "lathemisphere latitudehemisphere latref latituderef gpslatituderef",
-    "ew eastwest lonew ewindicator londir londirection longitudedir longitudedirection lonhemi "
-    "lonhemisphere longitudehemisphere lonref longituderef gpslongituderef",
-)
-# What programs call a heading alone is often the course over ground.
-_HEADINGS = ("headingdeg", "headingtrue", "headingtruedeg", "trueheading", "trueheadingdeg", "hdt")
-_VESSELS = ("mmsi", "sourcemmsi", "vesselmmsi", "shipmmsi", "mmsinumber")
-_COURSES = ("cog", "cogdeg", "course", "coursedeg", "courseoverground", "coursetrue")
-_SPEEDS = ("sog", "speed", "speedoverground", "groundspeed")
-_SPEED_UNITS = {
-    r"kn|kts?|knots?": 1852.0 / 3600.0,
-    r"m/s|mps|ms-1|ms": 1.0,
-    r"km/h|kmh|kph": 1.0 / 3.6,
-    r"mph": 1609.344 / 3600.0,
-}
-# The Danish Maritime Authority writes the day first, in days of AIS of one date each.
-_DANISH = {"timestamp", "typeofmobile", "mmsi"}
-_ANY_TIME = frozenset((*sum(_TIMES, ()), *_DATES, *_LOCAL))
-_ANY_LATITUDE, _ANY_LONGITUDE = frozenset(sum(_LATITUDES, ())), frozenset(sum(_LONGITUDES, ()))
 
 # Other characters that end lines elsewhere may stand in names.
 _NEW_LINE = re.compile("\r\n|\r|\n")
@@ -79,6 +45,7 @@ _DELIMITERS = (",", ";", "\t", "|", " ")
 _COMMENTS = ("#", "//", "%")
 _COMMENT = re.compile(r"^\s*(?:#|//|%)[#/%\s]*")
 _HEADER_WITHIN = 60
+_HEADER_OVER = 40
 _MOST_BYTES = 512 * 2**20
 _RADIANS = re.compile(r"[\[(_\s]rad(ians?)?\b")
 _TIME_OF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?)?\s*([AaPp]\.?[Mm]\.?)?\s*[Zz]?")
@@ -118,17 +85,6 @@ class LogTable:
     day_first: bool | None = None
 
 
-def plain(name: str) -> str:
-    """The name of a column less case, marks, and what stands in brackets behind it."""
-    return re.sub(r"[^a-z0-9]", "", re.sub(r"[\[(].*", "", name.lower())) or name.lower()
-
-
-def alias_of(name: str) -> str:
-    """What a name of a column is another name of: time, latitude, longitude, or nothing."""
-    wanted = {"time": _ANY_TIME, "latitude": _ANY_LATITUDE, "longitude": _ANY_LONGITUDE}
-    return next((key for key, names in wanted.items() if plain(name) in names), "")
-
-
 def is_log_table(head: str) -> bool:
     """Whether a text begins as a table with a time and a place, by the names of its columns."""
     return _header(_NEW_LINE.split(head)) is not None
@@ -141,29 +97,13 @@ def is_vessel_table(head: str) -> bool:
     if found is None:
         return False
     number, delimiter = found
-    names = [plain(name) for name in _cells(_uncommented(lines[number]), delimiter)]
-    which = [i for i, name in enumerate(names) if name in _VESSELS]
+    header, below = _header_text(lines, number)
+    names = [plain(name) for name in _cells(_uncommented(header), delimiter)]
+    which = [i for i, name in enumerate(names) if name in VESSELS]
     if not which:
         return False
-    rows = [_cells(line, delimiter) for line in lines[number + 1 :] if not _passed_over(line)]
+    rows = [_cells(line, delimiter) for line in lines[below:] if not _passed_over(line)]
     return any(cell.strip() for row in rows for cell in row[which[0] : which[0] + 1])
-
-
-def mps_of_unit(name: str) -> float | None:
-    """Metres a second of the unit that the name of a column of speeds tells; None: it tells none.
-
-    What is called SOG is in knots, as in AIS.
-    """
-    words = re.split(r"[^a-z/]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).lower())
-    for unit, mps in _SPEED_UNITS.items():
-        if any(re.fullmatch(unit, word) for word in words):
-            return mps
-    return _SPEED_UNITS[r"kn|kts?|knots?"] if plain(name) in ("sog", "speedoverground") else None
-
-
-def _is_speed(name: str) -> bool:
-    units = "|".join(_SPEED_UNITS).replace("/", "").replace("-1", "1")
-    return re.sub(rf"({units})$", "", plain(name)) in _SPEEDS
 
 
 def read_log_table(
@@ -190,17 +130,17 @@ def read_log_table(
         raise InputError(f"{path}: {_what_lacks(lines)}")
     number, delimiter = found
     rows = _rows(path, lines, number, delimiter)
-    names = next(row for _, row in rows)
+    names = [" ".join(map(str.strip, bare_cell(name).split("\n"))) for name in next(rows)[1]]
     columns = _columns(path, names)
     for key, asked, aliases in (
-        ("heading", heading, _HEADINGS),
-        ("mmsi", vessel, _VESSELS),
-        ("course", vessel, _COURSES),
+        ("heading", heading, HEADINGS),
+        ("mmsi", vessel, VESSELS),
+        ("course", vessel, COURSES),
     ):
         which = [i for i, name in enumerate(names) if asked and plain(name) in aliases]
         if which:
             columns[key] = which[0]
-    which = [i for i, name in enumerate(names) if vessel and _is_speed(name)]
+    which = [i for i, name in enumerate(names) if vessel and is_speed(name)]
     if which:
         columns["speed"] = which[0]
     cells: dict[str, list[str]] = {key: [] for key in columns}
@@ -208,6 +148,8 @@ def read_log_table(
     for line, row in rows:
         while len(row) > len(names) and not row[-1].strip():
             row.pop()
+        if delimiter == " " and len(row) == len(names) + 1:
+            row = _with_date_and_time(row, columns)
         if row == names:
             # Logs that were put together keep the header of each.
             continue
@@ -221,7 +163,11 @@ def read_log_table(
             continue
         index.append(line)
         for key, column in columns.items():
-            cells[key].append(row[column].strip())
+            cells[key].append(bare_cell(row[column]))
+    parts = {key: cells.pop(key) for key in PARTS if key in columns}
+    if parts:
+        cells = _joined(parts) | cells
+        columns |= {"date" if "hour" not in parts else "time": columns["year"]}
     table = {key: pd.Series(values, index=index, dtype=object) for key, values in cells.items()}
     return LogTable(
         time=_time(path, table, names, columns),
@@ -229,7 +175,7 @@ def read_log_table(
         longitude=_with_hemisphere(table, "longitude", "ew"),
         places=(names[columns["latitude"]].strip(), names[columns["longitude"]].strip()),
         cut_short=tuple(cut_short),
-        day_first=True if set(map(plain, names)) >= _DANISH else None,
+        day_first=day_first(names),
         **{
             key: table[key].rename(names[columns[key]].strip())
             for key in ("heading", "mmsi", "course", "speed", "zone")
@@ -267,8 +213,11 @@ def _rows(
 ) -> Iterator[tuple[int, list[str]]]:
     """Number of its line, and cells of each row, the header's first."""
     # Blank lines and comments become empty, so that lines keep their numbers.
-    rows = [_uncommented(lines[header]), *lines[header + 1 :]]
-    body = ("" if _passed_over(line) else f"{line}\n" for line in rows)
+    _, below = _header_text(lines, header)
+    names = (f"{line}\n" for line in (_uncommented(lines[header]), *lines[header + 1 : below]))
+    body = itertools.chain(
+        names, ("" if _passed_over(line) else f"{line}\n" for line in lines[below:])
+    )
     reader = csv.reader(
         (line or "\n" for line in body), delimiter=delimiter, skipinitialspace=True, strict=True
     )
@@ -290,11 +239,25 @@ def _uncommented(line: str) -> str:
     return _COMMENT.sub("", line)
 
 
+def _header_text(lines: Sequence[str], number: int) -> tuple[str, int]:
+    """A line with those that its quotes go on over, and the number of the line below."""
+    below = number + 1
+    most = min(len(lines), number + _HEADER_OVER)
+    while below < most and sum(line.count('"') for line in lines[number:below]) % 2:
+        below += 1
+    text = "\n".join(lines[number:below])
+    return (text, below) if text.count('"') % 2 == 0 else (lines[number], number + 1)
+
+
 def _header(lines: Sequence[str]) -> tuple[int, str] | None:
     """Number of the header, from 0, and what parts its names; None where there is no header."""
     tried = 0
     commented = None
-    for number, line in enumerate(lines):
+    below = 0
+    for number in range(len(lines)):
+        if number < below:
+            continue
+        line, below = _header_text(lines, number)
         if not line.strip() or line.lower().startswith("sep="):
             continue
         delimiter = _parted_by(_uncommented(line))
@@ -317,8 +280,9 @@ def _header(lines: Sequence[str]) -> tuple[int, str] | None:
 def _parted_by(line: str) -> str:
     """What parts the names in a line that has a time and a place; empty where it has none."""
     for delimiter in _DELIMITERS:
-        names = {plain(name) for name in _cells(line, delimiter)}
-        if names & _ANY_TIME and names & _ANY_LATITUDE and names & _ANY_LONGITUDE:
+        cells = [bare_cell(cell) for cell in _cells(line, delimiter)]
+        names = {plain(name) for name in cells} | {tail(name) for name in cells}
+        if names & ANY_TIME and names & ANY_LATITUDE and names & ANY_LONGITUDE:
             return delimiter
     return ""
 
@@ -331,48 +295,130 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def _what_lacks(lines: Sequence[str]) -> str:
-    first = next((line for line in lines if not _passed_over(line)), "")
+    number = next((i for i, line in enumerate(lines) if not _passed_over(line)), 0)
+    first, _ = _header_text(lines, number)
     most = max((_cells(first, delimiter) for delimiter in _DELIMITERS), key=len)
-    found = [name.strip() for name in most]
+    found = [" ".join(name.split()) for name in most]
     names = {plain(name) for name in found}
-    wanted = {"time_utc": _ANY_TIME, "latitude_deg": _ANY_LATITUDE, "longitude_deg": _ANY_LONGITUDE}
+    wanted = {"time_utc": ANY_TIME, "latitude_deg": ANY_LATITUDE, "longitude_deg": ANY_LONGITUDE}
     missing = [name for name, aliases in wanted.items() if not names & aliases]
     return (
         f"lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; found "
-        f"{_files.shortened(', '.join(found), 300)}"
+        f"{_files.shortened(', '.join(found), 300)}{what_mends(found)}"
     )
 
 
 def _columns(path: str | os.PathLike[str], names: list[str]) -> dict[str, int]:
     """Which column holds what."""
-    plains = [plain(name) for name in names]
+    plains, tails = [plain(name) for name in names], [tail(name) for name in names]
     columns = {}
-    for key, groups in (("latitude", _LATITUDES), ("longitude", _LONGITUDES), ("time", _TIMES)):
+    for key, groups in (("latitude", LATITUDES), ("longitude", LONGITUDES), ("time", TIMES)):
         chosen = _chosen(path, key, names, plains, groups)
+        if chosen is None and not (key == "time" and set(plains) & {*DATES, *LOCAL}):
+            chosen = _chosen(path, key, names, tails, groups)
         if chosen is not None:
             columns[key] = chosen
+    if "time" in columns and plains[columns["time"]] == "gpst":
+        raise InputError(
+            f"{path}: its times ({names[columns['time']].strip()}) are those of GPS, whole seconds "
+            "ahead of UTC (18 since 2017); write the log with times in UTC"
+        )
+    parts = _parts(plains)
+    if {"year", "month", "day"} <= parts.keys():
+        columns |= {key: parts[key] for key in ("year", "month", "day")}
+        if "time" not in columns and {"hour", "minute", "second"} <= parts.keys():
+            columns |= {key: parts[key] for key in parts.keys() - {"year", "month", "day"}}
     for key in ("latitude", "longitude"):
         if _RADIANS.search(names[columns[key]].lower()):
             raise InputError(
                 f"{path}: the column {names[columns[key]].strip()} is in radians; expected degrees"
             )
-    for key, aliases in zip(("ns", "ew"), _HEMISPHERES, strict=True):
+    for key, aliases in zip(("ns", "ew"), HEMISPHERES, strict=True):
         own = {columns["latitude"], columns["longitude"]}
         which = [i for i, name in enumerate(plains) if name in aliases and i not in own]
         if which:
             columns[key] = which[0]
-    which = [i for i, name in enumerate(plains) if name in _ZONES]
+    which = [i for i, name in enumerate(plains) if name in ZONES]
     if which:
         columns["zone"] = which[0]
-    which = [plains.index(name) for name in _DATES if name in plains]
-    if which:
+    which = [named.index(name) for named in (plains, tails) for name in DATES if name in named]
+    if which and "year" not in columns:
         columns["date"] = which[0]
-    if "time" not in columns and "date" not in columns:
-        local = next(name for name in names if plain(name) in _LOCAL)
+    if not columns.keys() & {"time", "date", "hour"}:
+        if "year" in columns:
+            raise InputError(
+                f"{path}: has columns of the year, the month and the day, and none of the hour, "
+                "the minute and the second; add a column time"
+            )
+        local = next(name for name in names if {plain(name), tail(name)} & {*LOCAL})
         raise InputError(
             f"{path}: its only time is {local.strip()}, which names no zone; add a column time_utc"
         )
     return columns
+
+
+def _parts(plains: Sequence[str]) -> dict[str, int]:
+    """Which columns hold the parts of a time."""
+    found = {}
+    for key, aliases in PARTS.items():
+        which = [i for i, name in enumerate(plains) if name in aliases]
+        if which:
+            found[key] = which[0]
+    return found
+
+
+def _joined(parts: dict[str, list[str]]) -> dict[str, list[str]]:
+    """A date, or a whole time, of its parts; what is no number stays as it stands."""
+    days = ("year", "month", "day")
+    date = [_dated(cells) for cells in zip(*(parts[key] for key in days), strict=True)]
+    if "hour" not in parts:
+        return {"date": date}
+    nano = parts.get("nano") or ["0"] * len(date)
+    clock = (parts[key] for key in ("hour", "minute", "second"))
+    return {"time": [_timed(*cells) for cells in zip(date, *clock, nano, strict=True)]}
+
+
+def _dated(cells: tuple[str, ...]) -> str:
+    if not any(cells):
+        return ""
+    try:
+        year, month, day = (int(float(cell)) for cell in cells)
+    except (ValueError, OverflowError):
+        return " ".join(cells)
+    return f"{year:04d}-{month:02d}-{day:02d}"
+
+
+def _timed(date: str, hour: str, minute: str, second: str, nano: str) -> str:
+    """The text of a time; nanoseconds may be below zero, as u-blox rounds to the nearest second."""
+    if not date or not (hour and minute and second):
+        return ""
+    written = f"{date} {hour}:{minute}:{second}"
+    try:
+        since_s = 60 * (60 * int(float(hour)) + int(float(minute))) + float(
+            second.replace(",", ".")
+        )
+        micro = round(since_s * 1e6 + float(nano or 0) * 1e-3)
+        if not (0 <= int(float(minute)) < 60 and 0 <= float(second) <= 60 and micro > -1e6):
+            return written
+        return f"{np.datetime64(date, 'us') + np.timedelta64(micro, 'us')}Z"
+    except (ValueError, OverflowError):
+        return written
+
+
+def _with_date_and_time(row: list[str], columns: dict[str, int]) -> list[str]:
+    """A row of which blanks part the cells, with its date and its time of day in one."""
+    i = columns.get("time", columns.get("date", len(row)))
+    if i + 1 < len(row) and _DATE_ALONE.fullmatch(row[i]) and _TIME_OF_DAY.fullmatch(row[i + 1]):
+        return [*row[:i], f"{row[i]} {row[i + 1]}", *row[i + 2 :]]
+    return row
+
+
+def bare_cell(text: str) -> str:
+    """A cell less what spreadsheets write to keep it as text: ``'54.3`` and ``="54.3"``."""
+    bare = text.strip()
+    if bare.startswith("'"):
+        return bare[1:-1].strip() if len(bare) > 1 and bare.endswith("'") else bare[1:].strip()
+    return bare[2:-1].strip() if bare.startswith('="') and bare.endswith('"') else bare
 
 
 def _chosen(
@@ -384,6 +430,9 @@ def _chosen(
 ) -> int | None:
     for aliases in groups:
         which = [i for i, name in enumerate(plains) if name in aliases]
+        utc = [i for i in which if "utc" in names[i].lower()]
+        if len(which) > 1 and len(utc) == 1:
+            which = utc
         if len(which) > 1:
             several = " and ".join(names[i].strip() for i in which)
             best = {"time": "time_utc"}.get(key, f"{key}_deg")
@@ -434,6 +483,7 @@ def _time(
 def _with_hemisphere(table: dict[str, pd.Series], key: str, hemisphere: str) -> pd.Series:
     name = f"{key}_deg"
     column = table[key]
-    if hemisphere in table:
+    # RTKLIB counts satellites under "ns".
+    if hemisphere in table and not table[hemisphere].str.contains(r"\d").any():
         column = (column + " " + table[hemisphere]).where(column != "", "").str.strip()
     return column.rename(name)

@@ -12,7 +12,8 @@ from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
 from sightline.formats._degrees import read_degrees
 from sightline.formats._json_logs import read_json_log
-from sightline.formats._log_table import LogTable, plain, read_log_table, zone_s
+from sightline.formats._log_names import plain
+from sightline.formats._log_table import LogTable, read_log_table, zone_s
 from sightline.formats._receivers import Source
 from sightline.formats._turns import by_turns
 from sightline.tally import Tally

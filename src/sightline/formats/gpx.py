@@ -1,4 +1,4 @@
-"""GPX 1.0 and 1.1: logs in, logs and tracks out."""
+"""GPX 1.0 and 1.1: logs in, logs and tracks out; KML and TCX: logs in."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from gpxpy.gpxfield import gpx_fields_to_xml
 from sightline.atomic import atomic_path
 from sightline.errors import InputError
 from sightline.formats import _files, _log_rows
-from sightline.formats._gpx_points import GpxLine, GpxPoint, read_gpx_points
+from sightline.formats._gpx_points import GpxLine, GpxPoint
 from sightline.formats._receivers import FIT_M, Source, apart_m, off_board_m
 from sightline.formats._times import NotUnderstoodError, read_times
+from sightline.formats._xml_points import read_xml_points
 from sightline.synchronisation import mean_longitudes_deg, repeated
 from sightline.tally import Tally
 from sightline.types import BoolArray, Fixes, FloatArray, IntArray, Track
@@ -44,8 +45,9 @@ _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fixes:
-    """The points of all tracks in a GPX file, in the order of time.
+    """The points of all tracks in a GPX, KML or TCX file, in the order of time.
 
+    Of KML each ``gx:Track`` is a track, and a placemark that is a point with a time a waypoint.
     GPX 1.0 and 1.1 are read, whatever prefixes or namespace their elements have; what stands in
     extensions, or in another namespace, is not the point's. Where there is no track, the points of
     routes and then the waypoints are its fixes, if they have times. Segments may stand in any
@@ -64,8 +66,8 @@ def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fix
             times decrease within a segment, or two tracks of the same times are of two vessels.
     """
     own = tally if tally is not None else Tally(path)
-    own.format = "GPX"
-    read = read_gpx_points(path)
+    read = read_xml_points(path)
+    own.format = read.format
     lines = read.tracks
     for kind, other in (("route points", read.routes), ("waypoints", read.waypoints)):
         points = [point for line in other for point in line.points]
@@ -73,6 +75,8 @@ def read_gpx(path: str | os.PathLike[str], *, tally: Tally | None = None) -> Fix
         if not any(line.points for line in lines) and any(point.time for point in points):
             lines = other
             own.note(f"it has no track; its {kind} are read as fixes")
+    if read.lacks and not any(point.time for line in lines for point in line.points):
+        raise InputError(f"{path}: is {read.format}, and {read.lacks}")
     own.count("track points", sum(len(line.points) for line in read.tracks))
     names = {line.track.name for line in read.tracks if line.track.name}
     _note_tracks(read.tracks, own)
@@ -94,7 +98,7 @@ def read_gpx_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     Raises:
         InputError: As `read_gpx`.
     """
-    read = read_gpx_points(path)
+    read = read_xml_points(path)
     tables = []
     used = {line.track.number for line in read.tracks}
     spare = (number for number in range(1, 2**31) if number not in used)
