@@ -25,6 +25,13 @@ READ = r"error: .*: is read by this command; give .*\n"
 TWICE = r"error: .*: is given for two results; .*\n"
 
 
+FLEET = """[[cameras]]
+name = "harbour"
+model = "camera.safetensors"
+recordings = [{source = "boat.mp4", clock = "clock/01.csv", log = "target.gpx"}]
+"""
+
+
 def content(folder: Path) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
@@ -68,6 +75,30 @@ def links(harbour: Path) -> None:
         ("evaluate scene.toml --model camera.safetensors --json boxes/02.csv", READ),
         ("run scene.toml -o out --json target.gpx", READ),
         ("run scene.toml -o out --json out/report.json", READ),
+        ("count t.csv --lines area.geojson -o area.geojson", READ),
+        ("count t.csv --zones area.geojson -o out.csv --json t.csv", READ),
+        ("count t.csv --zones area.geojson -o t.csv", READ),
+        ("export kept.db -o kept.db", READ),
+        ("export kept.db -o out.csv --json kept.db", READ),
+        ("show frames --model camera.safetensors -o frames/000.png --at 0", READ),
+        ("show boat.mp4 --model camera.safetensors -o boat.mp4", READ),
+        (
+            "show frames --model camera.safetensors -o o.mp4 --fixes target.gpx --json target.gpx",
+            READ,
+        ),
+        ("show frames --model camera.safetensors -o o.mp4 --tracks t.csv --json t.csv", READ),
+        ("plan --model camera.safetensors -o o.html --json camera.safetensors", READ),
+        ("plan --height 4 --drive target.gpx -o o.html --json target.gpx", READ),
+        ("batch fleet.toml -o out --json fleet.toml", READ),
+        ("batch fleet.toml -o out --json boat.mp4", READ),
+        ("batch fleet.toml -o out --json camera.safetensors", READ),
+        ("batch fleet.toml -o out --json clock/01.csv", READ),
+        ("batch fleet.toml -o out --json target.gpx", READ),
+        ("detector adapt scene.toml --model camera.safetensors -o camera.safetensors", READ),
+        (
+            "detector adapt scene.toml --model camera.safetensors -o d.onnx --json target.gpx --overwrite",
+            READ,
+        ),
     ],
 )
 def test_what_is_read_is_not_written(
@@ -78,6 +109,9 @@ def test_what_is_read_is_not_written(
     message: str,
 ) -> None:
     links(harbour)
+    for name in ("t.csv", "area.geojson", "kept.db"):
+        (harbour / name).touch()
+    (harbour / "fleet.toml").write_text(FLEET)
     monkeypatch.chdir(harbour)
     before = content(harbour)
     done = sightline(*command.format(m="--model camera.safetensors --clock clock/01.csv").split())

@@ -20,6 +20,7 @@ from cameras import HttpCamera, free_port, http_camera
 from sightline import Scene, fit
 from sightline.cli import main
 from sightline.live.config import read_live_config
+from sightline.live.journal import Journal
 from sightline.live.store import stored_tracks
 from sightline.simulation.simulate import SimulationSettings, simulate
 
@@ -242,6 +243,59 @@ def test_bad_input_is_one_line(
         assert why in err, (arguments, err)
         assert err.count("\n") == 1, err
         assert "secret" not in out + err
+
+
+def test_nothing_that_is_read_is_written_to(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is opened: a store or a log would be added to a source."""
+    own = tmp_path / "own"
+    shutil.copytree(folder, own)
+    for name in ("a.geojson", "secret", "feed.nmea"):
+        (own / name).write_text("not to be touched\n", encoding="utf-8")
+    (own / "live.toml").write_text("[source]\nspeed = 1.0\n", encoding="utf-8")
+    (own / "soft.db").symlink_to(own / "feed.nmea")
+    before = {path: path.read_bytes() for path in own.rglob("*") if path.is_file()}
+    start = [str(own / "frames"), "--as-live", "--model", str(own / "model.safetensors")]
+    read = "is read by this command"
+    cases = [
+        ("--store", "model.safetensors", [], read),
+        ("--log", "model.safetensors", [], read),
+        ("--log", "clock.csv", ["--clock", "clock.csv"], read),
+        ("--log", "feed.nmea", ["--ais", "feed.nmea"], read),
+        ("--store", "soft.db", ["--ais", "feed.nmea"], read),
+        ("--log", "live.toml", ["--config", "live.toml"], read),
+        ("--store", "a.geojson", ["--shore", "a.geojson"], read),
+        ("--log", "a.geojson", ["--lines", "a.geojson"], read),
+        ("--log", "a.geojson", ["--zones", "a.geojson"], read),
+        ("--log", "a.geojson", ["--area", "a.geojson"], read),
+        ("--log", "mask-small.png", ["--mask", "mask-small.png"], read),
+        ("--log", "secret", ["--credentials", "secret"], read),
+        ("--log", "secret", ["--token-file", "secret"], read),
+        ("--log", "a.onnx", ["--detector", "a.onnx"], read),
+        ("--log", "new.db", ["--store", "new.db"], "is given for two results"),
+        # What it does not read is not added to either.
+        ("--log", "clock.csv", [], "exists and is not a log that sightline wrote"),
+    ]
+    for option, name, others, why in cases:
+        more = [one if one.startswith("--") else str(own / one) for one in others]
+        with pytest.raises(SystemExit) as stopped:
+            main(["live", *start, option, str(own / name), *more])
+        err = capsys.readouterr().err
+        assert stopped.value.code == 2
+        assert f"{own / name}: {why}" in err, (option, name, err)
+        assert err.count("\n") == 1, err
+        after = {path: path.read_bytes() for path in own.rglob("*") if path.is_file()}
+        assert after == before, (option, name)
+
+
+def test_a_log_is_added_to_its_own(tmp_path: Path) -> None:
+    for text in ("first", "second"):
+        journal = Journal(tmp_path / "live.log")
+        journal.write("event", text)
+        journal.close()
+    told = [json.loads(line)["text"] for line in (tmp_path / "live.log").read_text().splitlines()]
+    assert told == ["first", "second"]
 
 
 def test_the_unit_of_the_documentation_is_one_that_systemd_takes(tmp_path: Path) -> None:

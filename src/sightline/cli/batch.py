@@ -70,7 +70,6 @@ def batch(
     if engine == "local" and (address is not None or memory_mb is not None):
         raise InputError("--address and --memory are of a cluster; give --engine ray with them")
     keep_apart([json], [fleet])
-    keep_others([(json, "result")], overwrite=overwrite)
     with signals.stoppable() as stop:
         from sightline._optional import module
         from sightline.fleet import read_fleet, run_batch
@@ -79,6 +78,8 @@ def batch(
 
         module("pyarrow", "parquet")
         known = read_fleet(fleet)
+        keep_apart([json], known.files)
+        keep_others([(json, "result")], overwrite=overwrite)
         stop.begun = True
         with progress() as tell:
             result = run_batch(

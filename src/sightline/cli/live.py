@@ -30,6 +30,7 @@ from sightline.cli.options import (
     ViewsOption,
     detector_options,
 )
+from sightline.cli.outputs import keep_apart
 from sightline.cli.parsing import parse_time
 from sightline.errors import InputError, SightlineError
 from sightline.stopping import Stop, call
@@ -215,7 +216,8 @@ def _check_table(table: LiveTable, where: Path) -> None:
     """Raise for what can be seen to be wrong before anything is opened.
 
     Raises:
-        InputError: Source or model are missing, or an address is none.
+        InputError: Source or model are missing, an address is none, or a file that is read would
+            be written.
     """
     if table.source.address is None:
         raise InputError(
@@ -224,7 +226,26 @@ def _check_table(table: LiveTable, where: Path) -> None:
     if table.model is None:
         raise InputError(f"no model is given; give --model MODEL, or model in {where}")
     check_model_is_there(Path(table.model))
+    _check_files(table, where)
     _check_addresses(table)
+
+
+def _check_files(table: LiveTable, where: Path) -> None:
+    """Raise where what is kept or logged would go into a file that is read.
+
+    Raises:
+        InputError: It would, or both would go into one file.
+    """
+    log = table.log.file if table.log.file != "-" else None
+    keep_apart(
+        [Path(file) for file in (table.store.file, log) if file is not None],
+        [
+            *(where, table.source.address, table.source.credentials, table.source.frame_clock),
+            *(table.model, table.detector.name, table.mask, *table.area, table.ais.source),
+            *(table.server.token_file, table.server.shore),
+            *(table.boundaries.lines, table.boundaries.zones),
+        ],
+    )
 
 
 def _override(table: LiveTable, section: str, given: Mapping[str, object]) -> None:

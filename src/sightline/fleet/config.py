@@ -160,6 +160,17 @@ class Fleet:
     interval_s: float | None = None
     moving_only: bool = False
 
+    @property
+    def files(self) -> list[Path]:
+        """Every file and folder that it names."""
+        named: list[Path | None] = []
+        for camera in self.cameras:
+            named += [camera.model, camera.mask, *camera.area]
+            named += [Path(camera.detector)] if camera.detector is not None else []
+            for one in camera.recordings:
+                named += [one.source, one.clock, one.platform, one.water_levels, one.log]
+        return [path for path in named if path is not None]
+
 
 @dataclass(frozen=True)
 class TracksOfCamera:

@@ -10,9 +10,11 @@ import time
 from pathlib import Path
 from typing import TextIO
 
-from sightline.errors import OutputError
+from sightline.errors import InputError, OutputError
 from sightline.text import json_text, without_secrets
 from sightline.types import rfc3339
+
+_BEGINS = '{"time_utc": "'
 
 
 class JournalHandler(logging.Handler):
@@ -37,12 +39,14 @@ class Journal:
             path: The file, which is added to; ``-``: standard error; None: nothing is written.
 
         Raises:
+            InputError: The file holds something else than such a log.
             OutputError: The file cannot be written.
         """
         self._lock = threading.Lock()
         self._file: TextIO | None = None
         self._own = path is not None and str(path) != "-"
         if path is not None and self._own:
+            _check_log(path)
             try:
                 self._file = path.open("a", encoding="utf-8")
             except OSError as error:
@@ -68,3 +72,24 @@ class Journal:
             with self._lock:
                 self._file.close()
                 self._file = None
+
+
+def _check_log(path: Path) -> None:
+    """Raise where a file is there that is no log to be added to.
+
+    Raises:
+        InputError: It is not.
+    """
+    if not path.is_file():
+        return
+    try:
+        with path.open("rb") as file:
+            begins = file.read(len(_BEGINS))
+    except OSError:
+        # Who may write a file need not be allowed to read it.
+        return
+    if begins and begins != _BEGINS.encode():
+        raise InputError(
+            f"{path}: exists and is not a log that sightline wrote, so nothing is added to it; "
+            "give another name"
+        )
