@@ -95,10 +95,7 @@ def links(harbour: Path) -> None:
         ("batch fleet.toml -o out --json clock/01.csv", READ),
         ("batch fleet.toml -o out --json target.gpx", READ),
         ("detector adapt scene.toml --model camera.safetensors -o camera.safetensors", READ),
-        (
-            "detector adapt scene.toml --model camera.safetensors -o d.onnx --json target.gpx --overwrite",
-            READ,
-        ),
+        ("detector adapt scene.toml --model {c} -o d.onnx --json target.gpx --overwrite", READ),
     ],
 )
 def test_what_is_read_is_not_written(
@@ -114,7 +111,9 @@ def test_what_is_read_is_not_written(
     (harbour / "fleet.toml").write_text(FLEET)
     monkeypatch.chdir(harbour)
     before = content(harbour)
-    done = sightline(*command.format(m="--model camera.safetensors --clock clock/01.csv").split())
+    model = "camera.safetensors"
+    filled = command.format(m=f"--model {model} --clock clock/01.csv", c=model)
+    done = sightline(*filled.split())
     assert (done.status, done.out) == (2, "")
     assert re.fullmatch(message, done.err), done.err
     assert content(harbour) == before

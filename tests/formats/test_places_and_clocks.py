@@ -89,3 +89,11 @@ def test_refused_control_points(tmp_path: Path, name: str, content: str, message
     with pytest.raises(InputError, match=message) as caught:
         read_control_points(path)
     assert str(caught.value).startswith(str(path))
+
+
+def test_true_and_false_are_no_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    for cells in ("TRUE,1.0,54.3,10.1", "1.0,2.0,True,10.1"):
+        path.write_text(f"x_px,y_px,latitude_deg,longitude_deg\n{cells}\n")
+        with pytest.raises(InputError, match=r"line 2: True is no number"):
+            read_control_points(path)

@@ -191,6 +191,16 @@ TEXTS = {
         "a.gpx",
         b'<gpx><rte><trkseg><trkpt lat="54" lon="10"/></trkseg></rte></gpx>',
     ),
+    "a row of a drawn table that says NA": (
+        "draw: control points",
+        "points.csv",
+        b"x_px,y_px,latitude_deg,longitude_deg\n100,250,54.324,10.139\nNA\n",
+    ),
+    "a drawn table of words that pandas takes for numbers": (
+        "draw: control points",
+        "points.csv",
+        b"x_px,y_px,latitude_deg,longitude_deg\nTRUE,TRUE,TRUE,TRUE\n",
+    ),
     "a long longitude": (
         "log: GPX",
         "a.gpx",

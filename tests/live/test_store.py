@@ -85,6 +85,18 @@ def test_what_was_kept_comes_back(tmp_path: Path) -> None:
     store.close()
 
 
+def test_reading_leaves_nothing_beside_a_store(tmp_path: Path) -> None:
+    """SQLite would leave a log and a map of it, and could make none on a disk that is full."""
+    store = _store(tmp_path / "quay.db")
+    for k in range(20):
+        store.keep([moment(k)])
+    assert len(list(stored_tracks(store.path))) == 2
+    store.close()
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert len(list(stored_tracks(store.path))) == 2
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
 def test_smoothed_comes_before_published_and_final_replaces_it(tmp_path: Path) -> None:
     store = _store(tmp_path / "quay.db")
     store.keep([moment(k) for k in range(20)], [part(0, 10, final=False, north_m=101.0)])

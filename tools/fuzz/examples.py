@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import shutil
 import sqlite3
 import struct
@@ -228,7 +229,46 @@ def _json_logs(folder: Path, fixes: Fixes) -> None:
     line = {"type": "LineString", "coordinates": positions}
     feature = {"type": "Feature", "properties": {"coordTimes": stamps}, "geometry": line}
     document = {"type": "FeatureCollection", "features": [feature]}
+    whens = "".join(f"<when>{when}</when>\n" for when, _, _ in rows)
+    coords = "".join(f"<gx:coord>{east} {north} 0</gx:coord>\n" for _, north, east in rows)
+    track = f"<Placemark><name>launch</name><gx:Track>\n{whens}{coords}</gx:Track></Placemark>"
+    marks = "".join(
+        f"<Placemark><TimeStamp><when>{when}</when></TimeStamp><Point><coordinates>{east},{north}"
+        "</coordinates></Point></Placemark>\n"
+        for when, north, east in rows
+    )
+    tcx = "".join(
+        f"<Trackpoint><Time>{when}</Time><Position><LatitudeDegrees>{north}</LatitudeDegrees>"
+        f"<LongitudeDegrees>{east}</LongitudeDegrees></Position></Trackpoint>\n"
+        for when, north, east in rows
+    )
+    kml = (
+        '<kml xmlns="http://www.opengis.net/kml/2.2" '
+        'xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>\n{}</Document></kml>'
+    )
+    objects = [
+        {"time": when, "coords": {"lat": north, "lon": east}, "accuracy": 5}
+        for when, north, east in rows
+    ]
+    records = [
+        {"timestamp": when, "latitudeE7": round(north * 1e7), "longitudeE7": round(east * 1e7)}
+        for when, north, east in rows
+    ]
+    german = ['"Zeit\n(UTC)";Breite;Länge']
+    ublox = ["iTOW,year,month,day,hour,min,sec,nano,fixType,lon,lat"]
+    for when, north, east in rows:
+        day = f"{when[8:10]}.{when[5:7]}.{when[:4]} {when[11:19]}"
+        german.append(f"{day};'{north};'{east}".replace(".", ",").replace(",", ".", 2))
+        parts = ",".join(map(str, map(int, re.split("[-T:]", when[:19]))))
+        ublox.append(f"1,{parts},-90000,3,{round(east * 1e7)},{round(north * 1e7)}")
     for name, text in (
+        ("track.kml", kml.format(track)),
+        ("marks.kml", kml.format(marks)),
+        ("log.tcx", f"<TrainingCenterDatabase><Track>{tcx}</Track></TrainingCenterDatabase>"),
+        ("list.json", json.dumps(objects, indent=1)),
+        ("records.json", json.dumps({"locations": records})),
+        ("german.csv", "\n".join(german)),
+        ("ublox.csv", "\n".join(ublox)),
         ("gpsd.json", "\n".join(map(json.dumps, gpsd))),
         ("signalk.json", "\n".join(map(json.dumps, deltas))),
         ("log.geojson", json.dumps(document)),
@@ -282,6 +322,21 @@ def _tables(folder: Path) -> None:
         for i in range(1, 5)
     }
     (folder / "points.otrfpts").write_text(json.dumps(survey, indent=1), encoding="utf-8")
+    (folder / "pasted.txt").write_text(
+        "54.3233, 10.1394\n54°19.398'N 010°08.364'E\n54 19 23.9 N, 10 8 21.8 E\n"
+        "geo:54.3233,10.1394;u=20\nhttps://www.openstreetmap.org/#map=17/54.3233/10.1394\n"
+        "https://maps.example/@54.3233,10.1394,17z\n",
+        encoding="utf-8",
+    )
+    (folder / "fleet.toml").write_text(
+        '[tracks]\ninterval_s = 1.0\n\n[[cameras]]\nname = "pier"\n'
+        'model = "camera-gpr.safetensors"\n'
+        'threshold = 0.3\narea = ["water.geojson"]\nmask = "mask.png"\nrecordings = [\n'
+        '  "clip.mp4",\n  {source = "still/detections/01.csv", name = "one", clock = "clock.csv",'
+        ' start_utc = 2024-06-01T10:00:00Z, clock_offset_s = 0.5, log = "feed.nmea",'
+        ' mmsi = 211000001, water_levels = "levels.csv"},\n]\n',
+        encoding="utf-8",
+    )
     (folder / "stepped.csv").write_text(
         "frame,utc\n" + "".join(f"{i},2024-06-01 10:00:{i // 12:02d}+00:00\n" for i in range(60)),
         encoding="utf-8",

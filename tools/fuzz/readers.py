@@ -25,8 +25,11 @@ from sightline.cli import main
 from sightline.clock import presentation_clock
 from sightline.detection import DetectorOptions, detector_by_name
 from sightline.errors import InputError
+from sightline.fleet.config import read_fleet
+from sightline.fleet.tasks import tasks_of
 from sightline.formats.labels import empty_frames, read_labels
 from sightline.formats.otanalytics import read_otflow
+from sightline.formats.pasted_position import parse_position
 from sightline.formats.picture_labels import (
     read_class_names,
     read_coco_labels,
@@ -35,6 +38,8 @@ from sightline.formats.picture_labels import (
 from sightline.formats.tiles import open_tiles
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.georeferencer import load_model
+from sightline.labelling.box_table import BoxTable
+from sightline.labelling.control_points import ControlPointSheet
 from sightline.live.ais import AisMatcher
 from sightline.live.config import read_live_config
 from sightline.live.store import stored_tracks
@@ -169,6 +174,47 @@ def _zones(path: Path, _: Path) -> None:
 def _sections(path: Path, examples: Path) -> None:
     sections = read_otflow(path)
     place_sections(sections, load_model(examples / "camera-gpr.safetensors"), str(path))
+
+
+def _drawn_boxes(path: Path, _: Path) -> None:
+    """The table that the workbench writes to: what it does not change stays as it is."""
+    BoxTable(path.with_name("scene.toml"), "01", path, (640, 360)).rows()
+
+
+def _drawn_points(path: Path, examples: Path) -> None:
+    for name in ("points.toml", "still/scene.toml"):
+        shutil.copy(examples / name, path.with_name(Path(name).name))
+    text = path.with_name("points.toml").read_text(encoding="utf-8")
+    scene = path.with_name("scene.toml")
+    scene.write_text(f'control_points = "{path.name}"\n' + text.split("[[")[0], encoding="utf-8")
+    ControlPointSheet(scene).points()
+
+
+def _pasted(path: Path, _: Path) -> None:
+    """A line at a time: all are refused, or one is a place on the earth."""
+    refused: InputError | None = None
+    places = 0
+    for line in path.read_text(encoding="utf-8", errors="surrogateescape").splitlines():
+        try:
+            latitude, longitude = parse_position(line)
+        except InputError as error:
+            refused = error
+        else:
+            assert abs(latitude) <= 90.0
+            assert abs(longitude) <= 180.0
+            places += 1
+    if refused is not None and not places:
+        raise refused
+
+
+def _fleet(path: Path, examples: Path) -> None:
+    """A fleet among the files that it names, up to the tasks that it makes."""
+    home = path.parent / "home"
+    shutil.copytree(examples, home)
+    shutil.copy(path, home / path.name)
+    fleet = read_fleet(home / path.name)
+    assert fleet.files
+    assert len(tasks_of(fleet)) == sum(len(camera.recordings) for camera in fleet.cameras)
 
 
 def _mask(path: Path, _: Path) -> None:
@@ -374,9 +420,11 @@ READERS: tuple[Reader, ...] = (
     Reader("live: store", _store, ("live.db",), STORE),
     Reader("map: MBTiles", _tiles, ("map.mbtiles",), STORE),
     Reader("map: PMTiles", _tiles, ("map.pmtiles",), BYTES),
-    Reader("log: CSV", _fixes, ("log.csv",), TABLE, 3),
+    Reader("log: KML, TCX", _fixes, ("track.kml", "marks.kml", "log.tcx"), XML, 3),
+    Reader("log: CSV", _fixes, ("log.csv", "german.csv", "ublox.csv"), TABLE, 3),
     Reader("log: CSV of AIS", _feed, ("ais.csv", "danish.csv"), TABLE, 3),
     Reader("log: JSON lines", _fixes, ("gpsd.json", "signalk.json"), JSON_LINES, 3),
+    Reader("log: JSON", _fixes, ("list.json", "records.json"), JSON, 2),
     Reader("log: GeoJSON", _fixes, ("log.geojson",), JSON),
     Reader("boxes: centres", _sized_boxes, ("yolo.txt", "xywh.csv"), TABLE),
     Reader("boxes: CSV", _boxes, ("still/boxes/01.csv", "still/detections/01.csv"), TABLE, 4),
@@ -399,6 +447,10 @@ READERS: tuple[Reader, ...] = (
     Reader("labels: YOLO", _yolo, ("picture.txt",), TABLE),
     Reader("labels: COCO", _coco, ("coco.json",), JSON),
     Reader("labels: names of classes", _class_names, ("data.yaml", "classes.txt"), TEXT, 1),
+    Reader("draw: boxes", _drawn_boxes, ("still/boxes/01.csv",), TABLE, 2),
+    Reader("draw: control points", _drawn_points, ("points.csv",), TABLE, 2),
+    Reader("draw: pasted positions", _pasted, ("pasted.txt",), TEXT, 2),
+    Reader("batch: fleet", _fleet, ("fleet.toml",), TOML, 2),
     Reader("area", _area, ("water.geojson",), JSON, 3),
     Reader("lines", _lines, ("lines.geojson",), JSON, 2),
     Reader("zones", _zones, ("zones.geojson",), JSON, 2),

@@ -293,6 +293,9 @@ def numbers(path: str | os.PathLike[str], column: pd.Series, *, row: str = "line
 
 def floats(column: pd.Series) -> FloatArray:
     """A column as float64; NaN where there is no number, infinite where it is beyond float64."""
+    if not pd.api.types.is_numeric_dtype(column) or column.dtype == bool:
+        # What pandas takes for true and false are words.
+        column = column.where(~column.map(lambda one: isinstance(one, bool)).astype(bool))
     try:
         return pd.to_numeric(column, errors="coerce").to_numpy(dtype=np.float64, copy=True)
     except OverflowError:

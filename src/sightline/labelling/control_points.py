@@ -340,7 +340,17 @@ class ControlPointSheet:
                 "another file in the scene"
             )
         width = len(header)
-        return header, [(*row, *("",) * (width - len(row))) for row in map(tuple, rows[1:])]
+        wide = [(*row, *("",) * (width - len(row))) for row in map(tuple, rows[1:])]
+        for number, row in enumerate(wide, start=1):
+            try:
+                _point(header, row, number)
+            except ValueError as error:
+                # Readers pass over a row that says NA in every cell; here it has a number.
+                raise InputError(
+                    f"{path}: its row {number} is no control point ({error}); correct it, or take "
+                    "it out"
+                ) from error
+        return header, wide
 
     def _change(self, change: _Change, header: Cells) -> None:
         """Write a change into the table as it is now."""

@@ -375,6 +375,8 @@ def check_store(path: Path) -> None:
         with closing(_reader(path)) as file:
             (own,) = file.execute("PRAGMA application_id").fetchone()
             (version,) = file.execute("PRAGMA user_version").fetchone()
+    except sqlite3.OperationalError as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
     except sqlite3.Error as error:
         raise InputError(f"{path}: is no store of sightline live ({error})") from error
     if own != _APPLICATION_ID:
@@ -387,7 +389,14 @@ def check_store(path: Path) -> None:
 
 
 def _reader(path: Path) -> sqlite3.Connection:
-    address = f"file:{quote(os.path.abspath(path))}?mode=ro"
+    """A connection that reads, for a moment.
+
+    SQLite reads a store with a log of writes by a map of it, which it leaves beside the store where
+    none was. Without a log nobody writes: then the file alone is all there is, and nothing is made.
+    """
+    alone = not os.path.exists(f"{os.fspath(path)}-wal")
+    mode = "mode=ro&immutable=1" if alone else "mode=ro"
+    address = f"file:{quote(os.path.abspath(path))}?{mode}"
     return sqlite3.connect(address, uri=True, timeout=5.0)
 
 
