@@ -57,8 +57,8 @@ RESULTS = {
     "show": ("s.mp4", "s.json"),
     "count": ("c.csv", "c.json"),
     "export": ("e.csv", "e.geojson", "e.json"),
-    # SQLite keeps what is not in the store yet beside it.
-    "live": ("l.db", "l.db-wal", "l.db-shm", "l.log"),
+    # SQLite keeps what is not in the store yet beside it; who writes it holds a lock.
+    "live": ("l.db", "l.db-lock", "l.db-wal", "l.db-shm", "l.log"),
 }
 SIGNALS = {"Ctrl-C": signal.SIGINT, "kill -9": signal.SIGKILL}
 
@@ -147,7 +147,7 @@ def is_whole(path: Path, first: bytes | None) -> bool:
         elif path.suffix == ".db":
             with closing(sqlite3.connect(path)) as store:
                 return store.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-        elif path.suffix in (".db-wal", ".db-shm"):
+        elif path.suffix in (".db-lock", ".db-wal", ".db-shm"):
             return True
         elif path.suffix == ".safetensors":
             with safe_open(path, "numpy") as file:

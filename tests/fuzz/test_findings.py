@@ -191,6 +191,13 @@ TEXTS = {
         "a.gpx",
         b'<gpx><rte><trkseg><trkpt lat="54" lon="10"/></trkseg></rte></gpx>',
     ),
+    "a fleet of a recording whose name is too long for a file": (
+        "batch: fleet",
+        "fleet.toml",
+        b'[[cameras]]\nname = "a"\nmodel = "camera-gpr.safetensors"\nrecordings = ["'
+        + b"x" * 300
+        + b'.csv"]\n',
+    ),
     "a row of a drawn table that says NA": (
         "draw: control points",
         "points.csv",

@@ -359,7 +359,8 @@ def _name(path: Path) -> str:
 
 def _there(where: str, folder: Path, name: str) -> Path:
     path = folder / name
-    if not path.exists():
+    # A name that is too long for any file is that of none.
+    if not os.path.exists(path):
         raise InputError(f"{where}: {path}: there is no such file or folder")
     return path
 
