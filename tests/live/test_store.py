@@ -97,6 +97,20 @@ def test_reading_leaves_nothing_beside_a_store(tmp_path: Path) -> None:
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("column", ["latitude_deg", "east_m2", "speed_mps"])
+@pytest.mark.parametrize("value", ["9e999", "-1e300"])
+def test_what_cannot_be_is_no_track(tmp_path: Path, column: str, value: str) -> None:
+    """GeoJSON has no infinity, and the square of a speed may be one."""
+    store = _store(tmp_path / "quay.db")
+    for k in range(20):
+        store.keep([moment(k)])
+    store._file.execute(f"UPDATE point SET {column} = {value} WHERE target_id = 1")
+    store._file.commit()
+    store.close()
+    with pytest.raises(InputError, match=r"quay\.db: is damaged"):
+        list(stored_tracks(store.path))
+
+
 def test_smoothed_comes_before_published_and_final_replaces_it(tmp_path: Path) -> None:
     store = _store(tmp_path / "quay.db")
     store.keep([moment(k) for k in range(20)], [part(0, 10, final=False, north_m=101.0)])

@@ -57,6 +57,8 @@ _MOST_TARGETS = 2000
 _DAY_US = 86_400_000_000
 _CHECKS_US = 30 * _DAY_US
 _DELETED_AT_ONCE = 5000
+# Metres, metres a second and square metres: more is no vessel's, and its square no number.
+_LARGEST = 1e15
 
 _Measure = float | None
 _PointRow = tuple[
@@ -550,6 +552,8 @@ def _track(
     for *before, speed_mps, course_deg, state in published:
         course_rad = np.radians(course_deg or 0.0)
         speed_mps = 0.0 if course_deg is None else speed_mps or 0.0
+        if not abs(speed_mps) < _LARGEST:
+            raise ValueError(f"target {number} has a speed that cannot be")
         velocity = (speed_mps * np.sin(course_rad), speed_mps * np.cos(course_rad))
         rows.append((*before, *velocity, kinds.get(state, PointKind.MEASURED)))
     if not rows:
@@ -557,6 +561,9 @@ def _track(
     table = np.array(rows, dtype=np.float64)
     east, north = plane.to_plane(table[:, 1], table[:, 2])
     covariance = table[:, [3, 4, 4, 5]].reshape(-1, 2, 2)
+    known = np.stack([east, north, table[:, 6], table[:, 7]])
+    if not (np.abs(known) < _LARGEST).all() or (np.abs(covariance) >= _LARGEST).any():
+        raise ValueError(f"target {number} has a place, a speed or an ellipse that cannot be")
     return Track(
         track_id=number,
         time_utc_s=table[:, 0] * 1e-6,
