@@ -355,7 +355,18 @@ def test_single_files_are_told_by_what_is_in_them(harbour: Path) -> None:
     sightline.track(
         harbour / "boxes" / "01.csv", model, clock=formats.read_clock(harbour / "clock" / "01.csv")
     ).write(tracks)
+    sightline.Tracks.read(tracks).write(harbour / "seen.kml")
+    fixes = formats.read_fixes(harbour / "target.gpx")
+    places = np.column_stack([fixes.longitude_deg, fixes.latitude_deg]).tolist()
+    line = {"type": "LineString", "coordinates": places}
+    times = {"coordTimes": fixes.time_utc_s.tolist()}
+    feature = {"type": "Feature", "geometry": line, "properties": times}
+    document = {"type": "FeatureCollection", "features": [feature]}
+    (harbour / "log.geojson").write_text(json.dumps(document))
     names = {
+        # Tracks in KML are written, and read as a log.
+        "seen.kml": "log",
+        "log.geojson": "log",
         "scene.toml": "scene",
         "target.gpx": "log",
         "ais.nmea": "AIS feed",

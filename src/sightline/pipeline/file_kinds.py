@@ -22,7 +22,8 @@ _LOOKED_AT = 4096
 _TABLE_SUFFIXES = (".csv", ".txt", ".log", ".tsv")
 _SENTENCE = re.compile(r"[$!][A-Z]{5},")
 _POLYGON = re.compile(rb'"type"\s*:\s*"(?:Multi)?Polygon"')
-_TRACK_SUFFIXES = (".geojson", ".parquet", ".gpkg", ".kml")
+_TRACK_SUFFIXES = (".geojson", ".parquet", ".gpkg")
+_TIMES_OF_A_LINE = re.compile(rb'"(?:coordTimes|coordinateProperties|temporalGeometry)"\s*:')
 
 # The columns that tell a table, those that tell more first.
 _TABLES = (
@@ -55,7 +56,7 @@ def kind_of(path: Path) -> str:
     if suffix in (".geojson", ".json") and _POLYGON.search(head):
         return "area"
     if suffix in _TRACK_SUFFIXES:
-        return "tracks"
+        return "log" if suffix == ".geojson" and _TIMES_OF_A_LINE.search(head) else "tracks"
     text = _text(head)
     if text is None:
         return "video"
