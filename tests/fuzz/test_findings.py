@@ -198,6 +198,11 @@ TEXTS = {
         + b"x" * 300
         + b'.csv"]\n',
     ),
+    "a configuration that names a file by more letters than fit into a line": (
+        "command: live",
+        "played.toml",
+        b'model = "' + b"a" * 20_000 + b'"\n[source]\naddress = "played.mp4"\nas_live = true\n',
+    ),
     "a row of a drawn table that says NA": (
         "draw: control points",
         "points.csv",

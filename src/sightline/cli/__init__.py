@@ -39,6 +39,7 @@ _CommandError: Any = typer.BadParameter.__mro__[2]
 
 # Of standard output as well, which may be full, closed, or a terminal that is gone.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EBADF, errno.EIO)
+_LONGEST_SHOWN = 1000
 _NOT_ALLOWED = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENAMETOOLONG, errno.ELOOP)
 
 # What typer makes of an interrupt.
@@ -158,7 +159,10 @@ def _status_of(error: BaseException, settings: common.Settings) -> int:
         if error.errno in _NO_ROOM:
             return _refuse(f"{error.filename}: cannot be written: {error.strerror}")
         if error.errno in _NOT_ALLOWED and error.filename is not None:
-            return _refuse(f"{error.filename}: cannot be used: {error.strerror}")
+            name = str(error.filename)
+            # One that is too long for a file may be as long as what it was read from.
+            shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
+            return _refuse(f"{shown}: cannot be used: {error.strerror}")
     if isinstance(error, MemoryError):
         return _refuse(f"there is not enough memory for this: {error}")
     raise error
