@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, lapack, solve_triangular
+from scipy.linalg import lapack
 
 from sightline.camera.priors import PixelNoise
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -50,15 +50,18 @@ HEAVE_CORRELATION_TIME_S = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Point correspondences of one log whose errors are correlated.
+    """Point correspondences whose errors are correlated, n of each of several logs.
+
+    Logs with as many correspondences are taken together: most matrices are so small that it is
+    their number that costs.
 
     Attributes:
-        rows: (n,) int64, which correspondences.
-        apart_s: (n, n) float64, seconds between any two boxes.
-        fixes_s: (n, 2) float64, times of the fixes that each place is interpolated between.
-        shares: (n, 2) float64, how much each of the two counts.
-        gap_m2: (n, n) float64, square metres, covariance of the places along either axis that gaps
-            of the log make, which is known; None where there are none.
+        rows: (B, n) int64, which correspondences, by their logs.
+        apart_s: (B, n, n) float64, seconds between any two boxes of a log.
+        fixes_s: (B, n, 2) float64, times of the fixes that each place is interpolated between.
+        shares: (B, n, 2) float64, how much each of the two counts.
+        gap_m2: (B, n, n) float64, square metres, covariance of the places along either axis that
+            gaps of the log make, which is known; None where there are none.
     """
 
     rows: IntArray
@@ -68,38 +71,45 @@ class Block:
     gap_m2: FloatArray | None = None
 
     def with_gaps(self, share: FloatArray) -> Block:
-        """The same with the variances of its places in gaps of the log (n,) times as large."""
+        """The same with the variances of its places in gaps of the log (B, n) times as large."""
         if self.gap_m2 is None:
             return self
         root = np.sqrt(share)
-        return replace(self, gap_m2=self.gap_m2 * np.outer(root, root))
+        return replace(self, gap_m2=self.gap_m2 * root[:, :, None] * root[:, None, :])
 
     @cached_property
-    def gap_rows(self) -> list[IntArray]:
-        """Rows of the block, by the gap of the log that they are in."""
-        _, of = np.unique(self.fixes_s[:, 0], return_inverse=True)
-        return [np.flatnonzero(of == gap) for gap in range(int(of.max()) + 1)]
+    def gap_rows(self) -> list[tuple[int, IntArray]]:
+        """Gaps of the logs: which log, and the rows of the block that are in the gap."""
+        out = []
+        for log, begin_s in enumerate(self.fixes_s[:, :, 0]):
+            _, of = np.unique(begin_s, return_inverse=True)
+            out += [(log, np.flatnonzero(of == gap)) for gap in range(int(of.max()) + 1)]
+        return out
 
     @cached_property
-    def _fix_pairs(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        times, at = np.unique(self.fixes_s, return_inverse=True)
-        weights = np.zeros((self.rows.size, times.size))
-        row = np.arange(self.rows.size)
-        at = at.reshape(self.fixes_s.shape)
-        for side in (0, 1):
-            np.add.at(weights, (row, at[:, side]), self.shares[:, side])
-        return weights, np.abs(times[:, None] - times[None, :]), times
+    def _fix_pairs(self) -> tuple[FloatArray, FloatArray]:
+        """(B, n, m) weights of the fixes in each place, and (B, m, m) seconds between them."""
+        each = [np.unique(fixes_s, return_inverse=True) for fixes_s in self.fixes_s]
+        most = max(times.size for times, _ in each)
+        weights, times = np.zeros((*self.rows.shape, most)), np.zeros((len(each), most))
+        row = np.arange(self.rows.shape[1])
+        for log, (own, at) in enumerate(each):
+            times[log, : own.size] = own
+            for side in (0, 1):
+                where = (row, at.reshape(-1, 2)[:, side])
+                np.add.at(weights[log], where, self.shares[log, :, side])
+        return weights, np.abs(times[:, :, None] - times[:, None, :])
 
     def log_kernel(self, correlation_time_s: float) -> FloatArray:
-        """(n, n) correlation of the log's error at the boxes: of what lies between fixes."""
-        weights, apart, _ = self._fix_pairs
-        return np.asarray(weights @ np.exp(-apart / correlation_time_s) @ weights.T)
+        """(B, n, n) correlation of the log's error at the boxes: of what lies between fixes."""
+        weights, apart = self._fix_pairs
+        return np.asarray(weights @ np.exp(-apart / correlation_time_s) @ weights.mT)
 
     def log_kernel_slope(self, correlation_time_s: float) -> FloatArray:
-        """(n, n) derivative of `log_kernel` by the logarithm of the correlation time."""
-        weights, apart, _ = self._fix_pairs
+        """(B, n, n) derivative of `log_kernel` by the logarithm of the correlation time."""
+        weights, apart = self._fix_pairs
         scaled = apart / correlation_time_s
-        return np.asarray(weights @ (np.exp(-scaled) * scaled) @ weights.T)
+        return np.asarray(weights @ (np.exp(-scaled) * scaled) @ weights.mT)
 
 
 def thinned(time_s: FloatArray, log: IntArray) -> IntArray:
@@ -130,16 +140,23 @@ def blocks_of(
         sigma_m: (N,) standard deviations of the places by the gaps of the log. Absent: none.
         gap_s: (N, 2) the times at which each gap begins and ends.
     """
-    out = []
+    alike: dict[tuple[int, bool], list[IntArray]] = {}
     for one in np.unique(log[np.isfinite(time_s)]):
         rows = np.flatnonzero((log == one) & np.isfinite(time_s))
         rows = rows[np.argsort(time_s[rows], kind="stable")]
         count = -(-rows.size // MOST_IN_BLOCK)
         for part in np.array_split(rows, count):
-            known = None
-            if sigma_m is not None and gap_s is not None and sigma_m[part].any():
-                known = gap_covariance(time_s[part], sigma_m[part], gap_s[part])
-            out.append(Block(part, _lag(time_s[part]), *_between(time_s[part], gap_s, part), known))
+            gaps = sigma_m is not None and gap_s is not None and bool(sigma_m[part].any())
+            alike.setdefault((part.size, gaps), []).append(part)
+    out = []
+    for (_, gaps), parts in alike.items():
+        known = None
+        if gaps and sigma_m is not None and gap_s is not None:
+            known = np.stack([gap_covariance(time_s[p], sigma_m[p], gap_s[p]) for p in parts])
+        between = zip(*(_between(time_s[part], gap_s, part) for part in parts), strict=True)
+        lag = np.stack([_lag(time_s[part]) for part in parts])
+        fixes_s, shares = (np.stack(column) for column in between)
+        out.append(Block(np.stack(parts), lag, fixes_s, shares, known))
     return out
 
 
@@ -240,7 +257,7 @@ def _apart(time_s: FloatArray) -> FloatArray:
 
 
 def _whole(block: Block, kernel: FloatArray) -> FloatArray:
-    """(n, n) covariance of the places: the log's estimated error, and what its gaps make."""
+    """(B, n, n) covariance of the places: the log's estimated error, and what its gaps make."""
     return kernel if block.gap_m2 is None else kernel + block.gap_m2
 
 
@@ -278,44 +295,48 @@ class Whitening:
             else np.einsum("nij,nj->ni", by_place, half_lengths_m)
         )
         self.variance_px2 = variance_px2
-        self.factors = []
+        # Of a correspondence without a time no error is correlated.
+        self._alone = np.ones(len(variance_px2), dtype=bool)
+        for block in blocks:
+            self._alone[block.rows] = False
+        self.factors: list[FloatArray] = []
         self.kernels = []
         for block in blocks:
             kernel = noise.correlated_m**2 * block.log_kernel(noise.correlation_time_s)
             self.kernels.append(kernel)
             lasting = self._lasting_kernel(block)
             whole = _whole(block, kernel + noise.offset_m**2 + noise.lasting_m**2 * lasting)
-            n = block.rows.size
-            covariance = self.turned(block).reshape(n, 2, n, 2) * whole[:, None, :, None]
-            covariance[:, 0, :, 0] += noise.lasting_column_px**2 * lasting
-            covariance[:, 1, :, 1] += noise.lasting_row_px**2 * lasting
-            covariance = covariance.reshape(2 * n, 2 * n)
+            logs, n = block.rows.shape
+            covariance = self.turned(block)
+            apart = covariance.reshape(logs, n, 2, n, 2)
+            apart *= whole[:, :, None, :, None]
+            apart[:, :, 0, :, 0] += noise.lasting_column_px**2 * lasting
+            apart[:, :, 1, :, 1] += noise.lasting_row_px**2 * lasting
             covariance += noise.antenna_share**2 * self._aboard(block)
             if self._by_height is not None:
-                covariance += np.kron(self._heave_kernel(block), np.ones((2, 2))) * self._lifted(
-                    block
-                )
-            covariance[np.diag_indices_from(covariance)] += variance_px2[block.rows].ravel()
-            self.factors.append(cholesky(covariance, lower=True, check_finite=False))
+                lifted = self._lifted(block).reshape(apart.shape)
+                apart += self._heave_kernel(block)[:, :, None, :, None] * lifted
+            diagonal = np.arange(2 * n)
+            covariance[:, diagonal, diagonal] += variance_px2[block.rows].reshape(logs, -1)
+            self.factors.append(np.asarray(np.linalg.cholesky(covariance), dtype=np.float64))
 
     def _lasting_kernel(self, block: Block) -> FloatArray:
         return np.asarray(np.exp(-block.apart_s / self._noise.lasting_time_s))
 
     def _aboard(self, block: Block) -> FloatArray:
-        """(2 n, 2 n) covariance of the pixels for receivers half a length off the middle."""
-        flat = self._by_antenna[block.rows].ravel()
-        return np.outer(flat, flat)
+        """(B, 2 n, 2 n) covariance of the pixels for receivers half a length off the middle."""
+        return _squared(self._by_antenna[block.rows])
 
     def turned(self, block: Block) -> FloatArray:
-        """(2 n, 2 n) covariance of the pixels for a shared place error of unit variance."""
-        flat = self._by_place[block.rows].reshape(-1, 2)
-        return np.asarray(flat @ flat.T)
+        """(B, 2 n, 2 n) covariance of the pixels for a shared place error of unit variance."""
+        logs, n = block.rows.shape
+        flat = self._by_place[block.rows].reshape(logs, 2 * n, 2)
+        return np.asarray(flat @ flat.mT)
 
     def _lifted(self, block: Block) -> FloatArray:
-        """(2 n, 2 n) as `turned`, for a shared heave of unit variance."""
+        """(B, 2 n, 2 n) as `turned`, for a shared heave of unit variance."""
         assert self._by_height is not None, "the caller has looked"
-        flat = self._by_height[block.rows].ravel()
-        return np.outer(flat, flat)
+        return _squared(self._by_height[block.rows])
 
     def _heave_kernel(self, block: Block) -> FloatArray:
         return np.asarray(
@@ -324,29 +345,28 @@ class Whitening:
 
     def forward(self, values: FloatArray) -> FloatArray:
         """Whiten (N, 2, K) pixels."""
-        out = values / self._sigma[:, :, None]
-        for block, factor in zip(self._blocks, self.factors, strict=True):
-            own = values[block.rows]
-            solved = solve_triangular(
-                factor, own.reshape(2 * block.rows.size, -1), lower=True, check_finite=False
-            )
-            out[block.rows] = solved.reshape(own.shape)
-        return np.asarray(out)
+        return self._solved(values, transposed=False)
 
     def backward(self, whitened: FloatArray) -> FloatArray:
         """Inverse covariance times pixels, from whitened values (N, 2, K)."""
-        out = whitened / self._sigma[:, :, None]
-        for block, factor in zip(self._blocks, self.factors, strict=True):
-            own = whitened[block.rows]
-            solved = solve_triangular(
-                factor,
-                own.reshape(2 * block.rows.size, -1),
-                lower=True,
-                trans="T",
-                check_finite=False,
-            )
-            out[block.rows] = solved.reshape(own.shape)
-        return np.asarray(out)
+        return self._solved(whitened, transposed=True)
+
+    def _solved(self, values: FloatArray, *, transposed: bool) -> FloatArray:
+        """(N, 2, K) inverse Cholesky factors times values, or the transposes of these."""
+        out = np.asarray(values / self._sigma[:, :, None])
+        for block, factors in zip(self._blocks, self.factors, strict=True):
+            logs, n = block.rows.shape
+            own = values[block.rows].reshape(logs, 2 * n, -1)
+            columns = _used(own)
+            part = np.take_along_axis(own, columns, axis=2)
+            for factor, column in zip(factors, part, strict=True):
+                # LAPACK takes matrices by columns: the transpose of the factor as it lies there.
+                column[:], _ = lapack.dtrtrs(
+                    factor.T, column, lower=0, trans=0 if transposed else 1
+                )
+            np.put_along_axis(own, columns, part, axis=2)
+            out[block.rows] = own.reshape(logs, n, 2, -1)
+        return out
 
     def correlated_error(self, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Most probable errors of the log, metres, of `backward`'s (N, 2) residuals.
@@ -357,15 +377,14 @@ class Whitening:
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
         drift, offset, body = (np.zeros_like(pulled) for _ in range(3))
         for block, kernel in zip(self._blocks, self.kernels, strict=True):
-            drift[block.rows] = _whole(block, kernel) @ pulled[block.rows]
-            body[block.rows] = (
-                self._noise.lasting_m**2 * self._lasting_kernel(block) @ pulled[block.rows]
-            )
-            offset[block.rows] = self._noise.offset_m**2 * pulled[block.rows].sum(axis=0)
+            own = pulled[block.rows]
+            drift[block.rows] = _whole(block, kernel) @ own
+            body[block.rows] = self._noise.lasting_m**2 * (self._lasting_kernel(block) @ own)
+            offset[block.rows] = self._noise.offset_m**2 * own.sum(axis=1, keepdims=True)
             if self._half_lengths_m is not None:
-                ahead = float(np.vdot(self._by_antenna[block.rows], weights[block.rows]))
+                ahead = np.sum(self._by_antenna[block.rows] * weights[block.rows], axis=(1, 2))
                 ahead *= self._noise.antenna_share**2
-                offset[block.rows] += ahead * self._half_lengths_m[block.rows]
+                offset[block.rows] += ahead[:, None, None] * self._half_lengths_m[block.rows]
         return drift, offset, body
 
     def strays(self, weights: FloatArray, share: FloatArray) -> FloatArray:
@@ -382,15 +401,14 @@ class Whitening:
         """
         pulled = np.einsum("nij,ni->nj", self._by_place, weights)
         out = share.copy()
-        for block, factor in zip(self._blocks, self.factors, strict=True):
+        for block, factors in zip(self._blocks, self.factors, strict=True):
             if block.gap_m2 is None:
                 continue
-            inverse, _ = lapack.dpotri(factor, lower=True)
-            inverse += np.tril(inverse, -1).T
-            for part in block.gap_rows:
-                rows, kernel = block.rows[part], block.gap_m2[np.ix_(part, part)]
+            inverse = _inverses(factors)
+            for log, part in block.gap_rows:
+                rows, kernel = block.rows[log, part], block.gap_m2[log][np.ix_(part, part)]
                 by_place, flat = self._by_place[rows], (2 * part[:, None] + [0, 1]).ravel()
-                own = inverse[np.ix_(flat, flat)].reshape(part.size, 2, part.size, 2)
+                own = inverse[log][np.ix_(flat, flat)].reshape(part.size, 2, part.size, 2)
                 told = np.einsum(
                     "nij,nimk,mkj,nm->", by_place, own, by_place, kernel, optimize=True
                 )
@@ -402,11 +420,9 @@ class Whitening:
 
     def log_determinant(self) -> float:
         """Half the logarithm of the determinant of the covariance."""
-        free = np.ones(len(self._sigma), dtype=bool)
-        for block in self._blocks:
-            free[block.rows] = False
-        value = float(np.log(self._sigma[free]).sum())
-        return value + sum(float(np.log(np.diag(factor)).sum()) for factor in self.factors)
+        value = float(np.log(self._sigma[self._alone]).sum())
+        diagonals = (np.diagonal(factors, axis1=1, axis2=2) for factors in self.factors)
+        return value + sum(float(np.log(diagonal).sum()) for diagonal in diagonals)
 
     def gradient(
         self, weights: FloatArray, solved: FloatArray, covariance: FloatArray
@@ -423,8 +439,9 @@ class Whitening:
             and of their times, by their names.
         """
         noise = self._noise
-        by_variance = 1.0 / self.variance_px2 - np.sum((solved @ covariance) * solved, axis=2)
-        by_variance -= weights**2
+        by_variance = 1.0 / self.variance_px2 - weights**2
+        alone = solved[self._alone]
+        by_variance[self._alone] -= np.sum((alone @ covariance) * alone, axis=2)
         out = dict.fromkeys(
             (
                 "correlated_m",
@@ -439,26 +456,29 @@ class Whitening:
             ),
             0.0,
         )
-        for block, kernel, factor in zip(self._blocks, self.kernels, self.factors, strict=True):
-            inverse, _ = lapack.dpotri(factor, lower=True)
-            inverse += np.tril(inverse, -1).T
-            n = block.rows.size
-            part = solved[block.rows].reshape(2 * n, -1)
-            own = weights[block.rows].ravel()
-            inner = inverse - part @ covariance @ part.T - np.outer(own, own)
-            by_variance[block.rows] = np.diag(inner).reshape(-1, 2)
-            four = inner.reshape(n, 2, n, 2)
+        for block, kernel, factors in zip(self._blocks, self.kernels, self.factors, strict=True):
+            logs, n = block.rows.shape
+            part = solved[block.rows].reshape(logs, 2 * n, -1)
+            own = weights[block.rows].reshape(logs, 2 * n, 1)
+            inner = _inverses(factors)
+            inner -= _explained(part, covariance)
+            inner -= own @ own.mT
+            four = inner.reshape(logs, n, 2, n, 2)
+            diagonal = np.diagonal(inner, axis1=1, axis2=2)
+            by_variance[block.rows] = diagonal.reshape(logs, n, 2)
             if self._by_height is not None:
-                lifted = (inner * self._lifted(block)).reshape(n, 2, n, 2).sum(axis=(1, 3))
-                out["heave_m"] += float(np.vdot(lifted, self._heave_kernel(block)))
+                lifted = self._lifted(block).reshape(four.shape)
+                heave = np.einsum("bimjk,bimjk->bij", four, lifted)
+                out["heave_m"] += float(np.vdot(heave, self._heave_kernel(block)))
             lasting = self._lasting_kernel(block)
             slope = lasting * (block.apart_s / noise.lasting_time_s)
-            column, row = four[:, 0, :, 0], four[:, 1, :, 1]
+            column, row = four[:, :, 0, :, 0], four[:, :, 1, :, 1]
             columns, rows = noise.lasting_column_px**2, noise.lasting_row_px**2
             out["lasting_column_px"] += columns * float(np.vdot(column, lasting))
             out["lasting_row_px"] += rows * float(np.vdot(row, lasting))
             out["lasting_time_s"] += 0.5 * float(np.vdot(columns * column + rows * row, slope))
-            together = (inner * self.turned(block)).reshape(n, 2, n, 2).sum(axis=(1, 3))
+            turned = self.turned(block).reshape(four.shape)
+            together = np.einsum("bimjk,bimjk->bij", four, turned)
             out["correlated_m"] += float(np.vdot(together, kernel))
             out["correlation_time_s"] += (
                 0.5
@@ -472,3 +492,36 @@ class Whitening:
             out["lasting_time_s"] += 0.5 * body * float(np.vdot(together, slope))
             out["offset_m"] += noise.offset_m**2 * float(together.sum())
         return 0.5 * by_variance, out
+
+
+def _squared(by_coordinate: FloatArray) -> FloatArray:
+    """(B, 2 n, 2 n) outer products of derivatives (B, n, 2) with themselves."""
+    flat = by_coordinate.reshape(len(by_coordinate), -1)
+    return np.asarray(flat[:, :, None] * flat[:, None, :])
+
+
+def _used(values: FloatArray) -> IntArray:
+    """(B, 1, U) columns of values (B, m, K) that are not all zero, and some more.
+
+    Clocks are parameters of one recording each, so that a log has few of all.
+    """
+    used = values.any(axis=1)
+    columns = np.argsort(~used, axis=1, kind="stable")[:, : int(used.sum(axis=1).max(initial=0))]
+    return np.asarray(columns[:, None, :])
+
+
+def _explained(by_parameter: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(B, m, m) covariances that parameters make, by derivatives (B, m, P) by them."""
+    columns = _used(by_parameter)
+    part = np.take_along_axis(by_parameter, columns, axis=2)
+    return np.asarray(part @ covariance[columns.mT, columns] @ part.mT)
+
+
+def _inverses(factors: FloatArray) -> FloatArray:
+    """(B, m, m) inverses of the matrices whose Cholesky factors are given."""
+    out = np.empty_like(factors)
+    for factor, inverse in zip(factors, out, strict=True):
+        inverse[:], _ = lapack.dpotri(factor.T, lower=False)
+    # Only the upper triangles are there.
+    out += np.triu(out, 1).mT
+    return out

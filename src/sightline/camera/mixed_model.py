@@ -596,13 +596,12 @@ class MixedModel:
                 residual = np.where(tail, np.sign(raw) * root, raw)
                 slope = np.where(tail, _HUBER / root, 1.0)
                 by_parameter = -(jacobian / sigma[:, :, None]).reshape(raw.size, -1)
-                last[:] = [
-                    (
-                        vector.copy(),
-                        np.concatenate([residual, beliefs @ (vector - mean)]),
-                        np.concatenate([by_parameter * slope[:, None], beliefs]),
-                    )
-                ]
+                by_all = np.concatenate([by_parameter * slope[:, None], beliefs])
+                all_residuals = np.concatenate([residual, beliefs @ (vector - mean)])
+                rows = np.column_stack([by_all, all_residuals])
+                if np.isfinite(rows).all():
+                    rows = fewer_rows(rows, self.layout.clocks)
+                last[:] = [(vector.copy(), rows[:, -1], rows[:, :-1])]
             return last[0]
 
         if not np.isfinite(evaluate(start)[1]).all():
@@ -676,3 +675,23 @@ class MixedModel:
             precision=beliefs.T @ beliefs,
             off_mean=found.vector - mean,
         )
+
+
+def fewer_rows(rows: FloatArray, clocks: slice) -> FloatArray:
+    """(K, K) rows whose products of columns are those of many rows (M, K): a QR decomposition.
+
+    Costs and steps of a least-squares problem depend on these products alone, and an optimiser that
+    decomposes what it is given is faster with few rows. A row depends on one clock at most, so that
+    clocks, which are many where targets are, are orthogonal as they stand.
+    """
+    clock, others = rows[:, clocks], np.delete(rows, clocks, axis=1)
+    length = np.linalg.norm(clock, axis=0)
+    along = clock.T @ others / np.maximum(length, 1e-300)[:, None]
+    rest = np.linalg.qr(others - clock @ (along / np.maximum(length, 1e-300)[:, None]), mode="r")
+    count = length.size
+    out = np.zeros((count + len(rest), rows.shape[1]))
+    kept = np.delete(np.arange(rows.shape[1]), clocks)
+    out[:count, clocks] = np.diag(length)
+    out[:count, kept] = along
+    out[count:, kept] = rest
+    return out

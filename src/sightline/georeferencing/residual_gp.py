@@ -184,11 +184,17 @@ class ResidualProcess:
         smooth = h.amplitude**2 * np.exp(-0.5 * _squared_differences(scaled).sum(axis=0))
         rest = _rest(h, self.noise, _same(self.group)) + logged
         variance = self.noise**2 + np.diag(logged + np.zeros_like(rest))
+        lower = cholesky(smooth + rest, lower=True, check_finite=False)
+        weights = cho_solve((lower, True), self.targets, check_finite=False)
+        inverse, _ = lapack.dpotri(lower, lower=True)
+        inverse += np.tril(inverse, -1).T
         gains = []
         for one in np.unique(fold):
             left, kept = np.flatnonzero(fold == one), np.flatnonzero(fold != one)
-            factor = cho_factor((smooth + rest)[np.ix_(kept, kept)], lower=True)
-            expected = smooth[np.ix_(left, kept)] @ cho_solve(factor, self.targets[kept])
+            # Of the covariance of what is kept, by that of all (partitioned inverse).
+            apart = np.linalg.solve(inverse[np.ix_(left, left)], weights[left])
+            of_kept = weights[kept] - inverse[np.ix_(kept, left)] @ apart
+            expected = smooth[np.ix_(left, kept)] @ of_kept
             own = self.targets[left]
             gains.append(np.sum((own**2 - (own - expected) ** 2) / variance[left]))
         total = np.array(gains)
