@@ -242,8 +242,12 @@ def fit_camera(
         end = problem.refine(np.append(nearer[1], 0.0), estimated) if nearer else None
         if end is not None:
             ends.append(end.vector)
-    fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
-    return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
+    fit = _Summary(problem, doubt, noise is None).at(best, estimated, ends, starts)
+    return (
+        fit
+        if problem is everything
+        else _Summary(everything, doubt, noise is None).with_all(fit, chosen)
+    )
 
 
 def expected_fit(
@@ -294,6 +298,7 @@ def expected_fit(
     if wide is None or solution is None:
         raise FitError(_BEHIND)
     vector, doubt = np.append(solution[1], 0.0), np.zeros(start.size + 1)
+    unsure = noise is None
     if noise is None:
         best, noise, doubt = model.with_estimated_noise(vector, np.append(wide[1], 0.0), assumed)
     else:
@@ -302,15 +307,22 @@ def expected_fit(
     if best is None:
         raise FitError(_BEHIND)
     best.vector[HEADING] = np.mod(best.vector[HEADING], 2.0 * np.pi)
-    return _Summary(model, doubt).at(best, noise, [best.vector], 1)
+    return _Summary(model, doubt, unsure).at(best, noise, [best.vector], 1)
 
 
 class _Summary:
-    """The fit of a model at a maximum of its posterior."""
+    """The fit of a model at a maximum of its posterior.
 
-    def __init__(self, model: MixedModel, doubt: FloatArray) -> None:
+    Args:
+        model: Of the fit.
+        doubt: (P,) one more error of the parameters.
+        unsure: Whether the noise was estimated.
+    """
+
+    def __init__(self, model: MixedModel, doubt: FloatArray, unsure: bool) -> None:
         self.model = model
         self.doubt = doubt
+        self.unsure = unsure
 
     def at(
         self, found: LocalMaximum, noise: PixelNoise, ends: list[FloatArray], starts: int
@@ -343,6 +355,10 @@ class _Summary:
         for by in (pulled, self.doubt):
             by = by * min(1.0, float(np.min(limit / np.maximum(np.abs(by), 1e-12))))
             whole = whole + np.outer(by, by)
+        if self.unsure:
+            whole = whole + self.model.of_unsure_noise(found, noise)
+        middle = self.model.layout.middle
+        middle_m = float(np.sqrt(found.vector[middle] ** 2 + whole[middle, middle]))
         vector, covariance = (
             found.vector[: self.model.size],
             whole[: self.model.size, : self.model.size],
@@ -352,7 +368,7 @@ class _Summary:
             covariance=covariance,
             prior_sigma=self.model.sigma,
             clock_groups=self.model.clock_groups,
-            noise=replace(noise, middle_m=float(abs(found.vector[self.model.layout.middle]))),
+            noise=replace(noise, middle_m=middle_m),
             image_size_px=self.model.image_size_px,
             residual_px=residual,
             standard_residual=np.sqrt(np.mean(found.standard**2, axis=1)),

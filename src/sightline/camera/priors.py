@@ -237,8 +237,8 @@ class PixelNoise:
         correlation_time_s: Its correlation time: it decays as ``exp(-Δt / correlation_time_s)``.
         heave_m: Of the camera's height, which moves all rows together for about a second: of a
             camera on a vessel.
-        middle_m: How far the middle of the box lies ahead of the log's receiver, metres; it is
-            known where the course is.
+        middle_m: How far the middle of the box lies ahead of the log's receiver, metres, as a root
+            mean square; to which side, the course says.
     """
 
     row_px: float = 1.5
