@@ -1,32 +1,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from full_disk import room_for
 from sightline.errors import InputError, OutputError
 from sightline.formats import write_boxes, write_fixes, write_tracks
 from sightline.geodesy import LocalPlane
 from sightline.types import Boxes, Fixes, Frame, Track
 from sightline.video import write_video
 
-resource = pytest.importorskip("resource", reason="only Unix limits the size of files")
-
 N = 3000
-
-
-@contextmanager
-def room_for(size_bytes: int) -> Iterator[None]:
-    """The system refuses to let a file grow beyond a size, as it does on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def a_track() -> Track:

@@ -9,8 +9,8 @@ import pickle
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from full_disk import room_for
 from sightline import Scene
 from sightline.formats import write_boxes
 
@@ -794,18 +795,6 @@ def test_one_line_and_nothing_left(
     assert done.out == ""
     assert re.match(rf"error: .*{message}.*\n\Z", done.err), done.err
     assert everything(tmp_path) == before
-
-
-@contextmanager
-def room_for(size_bytes: int) -> Iterator[None]:
-    """The system refuses to let a file grow beyond a size, as it does on a full disk."""
-    resource = pytest.importorskip("resource", reason="only Unix limits the size of files")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from full_disk import room_for
 from moments import START, target
 from sightline.errors import InputError
 from sightline.geodesy import LocalPlane
@@ -31,18 +31,6 @@ recordings = [{source = "boxes/01.csv", clock = "clock/01.csv"}]
 PLAN = "plan --height 5 --field-of-view 60 --heading 90 --place 54.3,10.1 --drive none"
 SHOW = "show {h}/boat.mp4 --model {h}/camera.safetensors --tracks {h}/t.csv"
 MODEL = "--model {h}/camera.safetensors --clock {h}/clock/01.csv"
-
-
-@contextmanager
-def room_for(size_bytes: int) -> Iterator[None]:
-    """The system refuses to let a file grow beyond a size, as it does on a full disk."""
-    resource = pytest.importorskip("resource", reason="only Unix limits the size of files")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def content(folder: Path) -> dict[str, bytes]:
