@@ -88,6 +88,10 @@ def _freeze(
     object.__setattr__(table, name, array)
 
 
+LARGEST_MMSI = 999_999_999
+"""Identities of vessels in AIS have at most nine digits."""
+
+
 class Columns:
     """Base class of the tables: selection of rows."""
 

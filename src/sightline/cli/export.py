@@ -42,13 +42,15 @@ def export(
     from_utc_s, to_utc_s = parse_time("--from", begin), parse_time("--to", end)
     if from_utc_s is not None and to_utc_s is not None and not from_utc_s < to_utc_s:
         raise InputError(f"--from {begin} is not before --to {end}")
+    from functools import partial
+
     from sightline import formats
     from sightline.live.store import check_store, stored_tracks
 
     check_store(store)
     attempts = Attempts()
     tracks = points = 0
-    with Outputs(formats.track_writer, attempts) as files:
+    with Outputs(partial(formats.track_writer, fused=True), attempts) as files:
         files.open(output)
         for track in stored_tracks(store, from_utc_s, to_utc_s):
             files.add(track)

@@ -16,6 +16,7 @@ from sightline.configuration import Table, UtcTime, checked, posix_s, read_toml
 from sightline.errors import InputError
 from sightline.fusion import BiasPrior, FuseSettings, HandoverSettings
 from sightline.fusion.fuse import CORRELATED_SHARE
+from sightline.types import LARGEST_MMSI
 
 _NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 _MOST_RECORDINGS = 1_000_000
@@ -35,7 +36,7 @@ class RecordingTable(Table):
     water_level_m: float | None = None
     water_levels: str | None = None
     log: str | None = None
-    mmsi: Annotated[int, Field(ge=1, le=999_999_999)] | None = None
+    mmsi: Annotated[int, Field(ge=1, le=LARGEST_MMSI)] | None = None
 
 
 class CameraTable(Table):

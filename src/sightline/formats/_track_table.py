@@ -16,6 +16,7 @@ from sightline.formats import _files
 from sightline.geodesy import LocalPlane
 from sightline.text import encodable_text
 from sightline.types import (
+    LARGEST_MMSI,
     BoolArray,
     FloatArray,
     FusedTrack,
@@ -43,7 +44,6 @@ _VELOCITY_COVARIANCE = (
 )
 _ELLIPSE = ("semi_major_m", "semi_minor_m", "ellipse_bearing_deg")
 _PROBABILITY = 0.95
-_LARGEST_MMSI = 999_999_999
 _PLAIN = (str, int, float, date, np.generic, type(None), type(pd.NaT))
 
 COLUMNS = (
@@ -251,7 +251,7 @@ def _mmsi(rows: pd.DataFrame) -> int | None:
     if "mmsi" not in rows:
         return None
     told = pd.to_numeric(rows["mmsi"], errors="coerce").dropna()
-    numbers = told[(told >= 1) & (told <= _LARGEST_MMSI) & (told % 1 == 0)]
+    numbers = told[(told >= 1) & (told <= LARGEST_MMSI) & (told % 1 == 0)]
     return None if numbers.empty else int(numbers.iloc[0])
 
 

@@ -35,6 +35,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 from urllib.parse import quote
@@ -47,7 +48,7 @@ from sightline.geodesy import LocalPlane
 from sightline.live.ais_check import AisCheck
 from sightline.live.state import SmoothedPart
 from sightline.moment import Alert, CaptureClock, Moment, State, TargetState
-from sightline.types import PointKind, Track
+from sightline.types import LARGEST_MMSI, FusedTrack, PointKind
 
 SCHEMA_VERSION = 2
 _APPLICATION_ID = 0x53474C54
@@ -404,8 +405,10 @@ def _reader(path: Path) -> sqlite3.Connection:
 
 def stored_tracks(
     path: Path, from_utc_s: float | None = None, to_utc_s: float | None = None
-) -> Iterator[Track]:
+) -> Iterator[FusedTrack]:
     """Tracks of a store, target by target: smoothed as far as they are, then as published.
+
+    They say which vessel AIS took each for, and that the camera saw it where it was measured.
 
     Args:
         path: The store; it may be written to at the same time.
@@ -423,16 +426,24 @@ def stored_tracks(
             meta = dict(file.execute("SELECT key, value FROM meta").fetchall())
             plane = LocalPlane(float(meta["latitude_deg"]), float(meta["longitude_deg"]))
             targets = file.execute(
-                "SELECT id, label, name FROM target WHERE last_us >= ? AND first_us < ? "
+                "SELECT id, label, name, mmsi FROM target WHERE last_us >= ? AND first_us < ? "
                 "ORDER BY id",
                 (low, high),
             ).fetchall()
-        for number, label, name in targets:
+        camera = meta.get("camera") or ""
+        for number, label, name, mmsi in targets:
             # A transaction a target: a reader that stays lets the log grow.
             with closing(_reader(path)) as file:
-                track = _track(file, int(number), str(name or label), plane, (low, high))
+                track = _track(file, int(number), plane, (low, high))
             if track is not None:
-                yield track
+                seen = np.where(track.kind == PointKind.MEASURED, camera, "")
+                yield replace(
+                    track,
+                    cameras=seen,
+                    label=str(name or label),
+                    name=str(name or ""),
+                    mmsi=_mmsi(mmsi),
+                )
     except (sqlite3.Error, LookupError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: is damaged, or no store of sightline live ({error})") from error
 
@@ -526,8 +537,8 @@ def _readable(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _track(
-    file: sqlite3.Connection, number: int, label: str, plane: LocalPlane, between: tuple[int, int]
-) -> Track | None:
+    file: sqlite3.Connection, number: int, plane: LocalPlane, between: tuple[int, int]
+) -> FusedTrack | None:
     smoothed = file.execute(
         "SELECT time_us, latitude_deg, longitude_deg, east_m2, east_north_m2, north_m2, "
         "velocity_east_mps, velocity_north_mps, kind FROM smoothed "
@@ -564,7 +575,7 @@ def _track(
     known = np.stack([east, north, table[:, 6], table[:, 7]])
     if not (np.abs(known) < _LARGEST).all() or (np.abs(covariance) >= _LARGEST).any():
         raise ValueError(f"target {number} has a place, a speed or an ellipse that cannot be")
-    return Track(
+    return FusedTrack(
         track_id=number,
         time_utc_s=table[:, 0] * 1e-6,
         east_m=east,
@@ -575,8 +586,18 @@ def _track(
         velocity_covariance_m2ps2=np.full((len(rows), 2, 2), np.nan),
         kind=table[:, 8].astype(np.int8),
         plane=plane,
-        label=label,
     )
+
+
+def _mmsi(value: object) -> int | None:
+    """Of a target; None where AIS told none.
+
+    Raises:
+        ValueError: No vessel has such a number.
+    """
+    if value is not None and not (isinstance(value, int) and 0 < value <= LARGEST_MMSI):
+        raise ValueError(f"{value!r} is no MMSI")
+    return value
 
 
 def _microseconds(time_utc_s: float) -> int:
