@@ -260,23 +260,26 @@ def of_unsure_noise(
 
     Args:
         likelihood: Of the residuals.
-        noise: The most probable.
+        noise: About the most probable.
         heaving: Whether the camera heaves.
 
     Returns:
         Zero where no noise beside it can be tried.
     """
-    names = _estimated(likelihood, heaving=heaving)
-    names = [name for name in names if getattr(noise, name) > 0.0]
-    posterior = _Posterior(likelihood, noise, names)
-    logs = np.log([getattr(noise, name) for name in names])
     added = np.zeros_like(likelihood.precision)
     try:
+        # Parameters and noise were estimated in turn, and residuals have moved since.
+        noise = most_probable_noise(likelihood, noise, heaving=heaving)
+        names = _estimated(likelihood, heaving=heaving)
+        names = [name for name in names if getattr(noise, name) > 0.0]
+        posterior = _Posterior(likelihood, noise, names)
+        logs = np.log([getattr(noise, name) for name in names])
+        low, high = np.array([prior.bounds for prior in posterior.priors]).T
         lowest, best, known = posterior.estimate(logs)
         for axis in posterior.axes(logs):
             along, whole = np.zeros_like(added), 1.0 - 2.0 * _OUTER_WEIGHT
             for off in (_OUTER * axis, -_OUTER * axis):
-                value, step, covariance = posterior.estimate(logs + off)
+                value, step, covariance = posterior.estimate(np.clip(logs + off, low, high))
                 weight = _OUTER_WEIGHT * math.exp(min(lowest - value, 0.0) + 0.5 * _OUTER**2)
                 apart = step - best
                 along += weight * (covariance - known + np.outer(apart, apart))

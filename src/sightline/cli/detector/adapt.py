@@ -104,20 +104,21 @@ def adapt(
     if output.suffix != ".onnx":
         raise InputError(f"{output}: the file of a detector must end in .onnx")
     keep_others([(output, "detector"), (json, "result")], overwrite=overwrite)
-    for library, extra in (("torch", "train"), ("onnx", "train"), ("pycocotools", "train")):
-        _optional.module(library, extra)
-    from sightline.formats.labels import parse_margins
-    from sightline.georeferencing.georeferencer import load_model
-    from sightline.labelling.lessons import TeacherSettings
     from sightline.scene import Scene
-    from sightline.tally import Tally
-    from sightline.training.adaptation import AdaptSettings
-    from sightline.training.adaptation import adapt as adapt_detector
 
     loaded = Scene.load(scene)
     if recordings is not None:
         loaded = loaded.select(parse_names(recordings))
     keep_apart([output, json], loaded.files)
+    for library, extra in (("torch", "train"), ("onnx", "train"), ("pycocotools", "train")):
+        _optional.module(library, extra)
+    from sightline.formats.labels import parse_margins
+    from sightline.georeferencing.georeferencer import load_model
+    from sightline.labelling.lessons import TeacherSettings
+    from sightline.tally import Tally
+    from sightline.training.adaptation import AdaptSettings
+    from sightline.training.adaptation import adapt as adapt_detector
+
     settings = AdaptSettings(
         minutes=minutes,
         steps=steps,
