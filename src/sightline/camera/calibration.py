@@ -242,12 +242,8 @@ def fit_camera(
         end = problem.refine(np.append(nearer[1], 0.0), estimated) if nearer else None
         if end is not None:
             ends.append(end.vector)
-    fit = _Summary(problem, doubt, noise is None).at(best, estimated, ends, starts)
-    return (
-        fit
-        if problem is everything
-        else _Summary(everything, doubt, noise is None).with_all(fit, chosen)
-    )
+    fit = _Summary(problem, doubt).at(best, estimated, ends, starts)
+    return fit if problem is everything else _Summary(everything, doubt).with_all(fit, chosen)
 
 
 def expected_fit(
@@ -298,7 +294,6 @@ def expected_fit(
     if wide is None or solution is None:
         raise FitError(_BEHIND)
     vector, doubt = np.append(solution[1], 0.0), np.zeros(start.size + 1)
-    unsure = noise is None
     if noise is None:
         best, noise, doubt = model.with_estimated_noise(vector, np.append(wide[1], 0.0), assumed)
     else:
@@ -307,22 +302,15 @@ def expected_fit(
     if best is None:
         raise FitError(_BEHIND)
     best.vector[HEADING] = np.mod(best.vector[HEADING], 2.0 * np.pi)
-    return _Summary(model, doubt, unsure).at(best, noise, [best.vector], 1)
+    return _Summary(model, doubt).at(best, noise, [best.vector], 1)
 
 
 class _Summary:
-    """The fit of a model at a maximum of its posterior.
+    """The fit of a model at a maximum of its posterior."""
 
-    Args:
-        model: Of the fit.
-        doubt: (P,) one more error of the parameters.
-        unsure: Whether the noise was estimated.
-    """
-
-    def __init__(self, model: MixedModel, doubt: FloatArray, unsure: bool) -> None:
+    def __init__(self, model: MixedModel, doubt: FloatArray) -> None:
         self.model = model
         self.doubt = doubt
-        self.unsure = unsure
 
     def at(
         self, found: LocalMaximum, noise: PixelNoise, ends: list[FloatArray], starts: int
@@ -355,8 +343,6 @@ class _Summary:
         for by in (pulled, self.doubt):
             by = by * min(1.0, float(np.min(limit / np.maximum(np.abs(by), 1e-12))))
             whole = whole + np.outer(by, by)
-        if self.unsure:
-            whole = whole + self.model.of_unsure_noise(found, noise)
         middle = self.model.layout.middle
         middle_m = float(np.sqrt(found.vector[middle] ** 2 + whole[middle, middle]))
         vector, covariance = (

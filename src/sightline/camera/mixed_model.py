@@ -44,7 +44,6 @@ from sightline.camera.restricted_likelihood import (
     RestrictedLikelihood,
     most_probable_noise,
     negative_log_evidence,
-    of_unsure_noise,
 )
 from sightline.camera.target_sizes import BEAM_SHARE, TargetSizes
 from sightline.types import BoolArray, FloatArray, IntArray
@@ -650,10 +649,6 @@ class MixedModel:
     def estimate_noise(self, found: LocalMaximum, before: PixelNoise) -> PixelNoise:
         """Maximum a posteriori noise of the residuals: see `RestrictedLikelihood`."""
         return most_probable_noise(self.likelihood(found), before, heaving=self.heaving)
-
-    def of_unsure_noise(self, found: LocalMaximum, noise: PixelNoise) -> FloatArray:
-        """(P, P) what noise that was estimated adds to the covariance of the parameters."""
-        return of_unsure_noise(self.likelihood(found), noise, heaving=self.heaving)
 
     def negative_log_evidence(self, found: LocalMaximum, noise: PixelNoise) -> float:
         """Negative logarithm of the density of data and noise; infinite where there is none."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sightline.camera.correlated_noise import Block, Whitening
@@ -31,13 +31,6 @@ _LASTING = (
 )
 # A step that gains less than this tells nothing.
 _ENOUGH_NATS = 0.002
-# A Gauss-Hermite rule of three points: where the outer two are, in standard deviations, and what
-# each of them weighs.
-_OUTER, _OUTER_WEIGHT = math.sqrt(3.0), 1.0 / 6.0
-# Of the logarithm of a part of the noise: nobody is less sure than of a factor of two.
-_MOST_UNSURE = math.log(2.0)
-# Of a logarithm: slopes so far apart tell the curvature.
-_APART = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,18 +97,13 @@ class RestrictedLikelihood:
         by_part = 2.0 * squares * np.tensordot(self._parts, by_variance / self.weight, 2)
         return value, gradient | dict(zip(_WHITE, by_part.tolist(), strict=True))
 
-    def estimate(self, noise: PixelNoise) -> tuple[float, FloatArray, FloatArray]:
-        """The value; the step to the most probable parameters, (P,), and their covariance (P, P).
-
-        Raises:
-            LinAlgError: The covariance is not positive definite.
-        """
-        return self._solved(noise)[:3]
-
     def _solved(
         self, noise: PixelNoise
     ) -> tuple[float, FloatArray, FloatArray, Whitening, FloatArray]:
-        """As `estimate`, with the whitening, and (N, 2, P + 1) `_columns` by it."""
+        """The value, the step (P,) to the most probable parameters, their covariance (P, P).
+
+        Then the whitening, and (N, 2, P + 1) `_columns` by it.
+        """
         known = self.known_m2[:, None] * self._per_metre
         variance = (np.tensordot(_squares(noise), self._parts, 1) + known) / self.weight
         whitening = Whitening(
@@ -163,25 +151,11 @@ class _Posterior:
         belief, by_prior = self._beliefs(logs)
         return value + belief, np.array([slopes[name] for name in self.names]) + by_prior
 
-    def estimate(self, logs: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """The value, with the step to the most probable parameters and their covariance."""
-        value, step, covariance = self._likelihood.estimate(self.noise_at(logs))
-        return value + self._beliefs(logs)[0], step, covariance
-
     def _beliefs(self, logs: FloatArray) -> tuple[float, FloatArray]:
         """Negative logarithm of the prior density, and its gradient."""
         pairs = zip(self.priors, logs.tolist(), strict=True)
         values, slopes = zip(*(prior.penalty(log) for prior, log in pairs), strict=True)
         return float(sum(values)), np.array(slopes)
-
-    def axes(self, logs: FloatArray) -> FloatArray:
-        """(K, K) principal axes of its Gaussian approximation at a maximum, standard deviations."""
-        apart = _APART * np.eye(logs.size)
-        slopes = [self(logs + off)[1] - self(logs - off)[1] for off in apart]
-        curvature = np.stack(slopes) / (2.0 * _APART)
-        values, vectors = np.linalg.eigh(0.5 * (curvature + curvature.T))
-        sigma = np.minimum(1.0 / np.sqrt(np.maximum(values, 1e-12)), _MOST_UNSURE)
-        return np.asarray(sigma[:, None] * vectors.T)
 
 
 def _estimated(likelihood: RestrictedLikelihood, *, heaving: bool) -> list[str]:
@@ -243,48 +217,3 @@ def most_probable_noise(
     found = posterior.noise_at(best.x)
     # Where no two fixes are near in time, correlated noise cannot be estimated.
     return found if likelihood.blocks else replace(found, correlated_m=0.0)
-
-
-def of_unsure_noise(
-    likelihood: RestrictedLikelihood, noise: PixelNoise, *, heaving: bool = False
-) -> FloatArray:
-    """(P, P) covariance to be added to that of the parameters, for noise that was estimated.
-
-    What a target has for as long as it is watched shows once a target, so that a handful tells
-    badly how large that is. The covariance of the parameters is its mean over what the noise may
-    be, and the covariance of the estimates under it (law of total covariance; Kackar and Harville
-    1984, "Approximations for standard errors of estimators of fixed and random effects in mixed
-    linear models", estimate the same). The posterior density of the logarithms is integrated by
-    three points along each axis of the Gaussian about its maximum, each weighed by the density
-    itself: it is skewed, since a scatter may rather be much larger than much smaller.
-
-    Args:
-        likelihood: Of the residuals.
-        noise: About the most probable.
-        heaving: Whether the camera heaves.
-
-    Returns:
-        Zero where no noise beside it can be tried.
-    """
-    added = np.zeros_like(likelihood.precision)
-    try:
-        # Parameters and noise were estimated in turn, and residuals have moved since.
-        noise = most_probable_noise(likelihood, noise, heaving=heaving)
-        names = _estimated(likelihood, heaving=heaving)
-        names = [name for name in names if getattr(noise, name) > 0.0]
-        posterior = _Posterior(likelihood, noise, names)
-        logs = np.log([getattr(noise, name) for name in names])
-        low, high = np.array([prior.bounds for prior in posterior.priors]).T
-        lowest, best, known = posterior.estimate(logs)
-        for axis in posterior.axes(logs):
-            along, whole = np.zeros_like(added), 1.0 - 2.0 * _OUTER_WEIGHT
-            for off in (_OUTER * axis, -_OUTER * axis):
-                value, step, covariance = posterior.estimate(np.clip(logs + off, low, high))
-                weight = _OUTER_WEIGHT * math.exp(min(lowest - value, 0.0) + 0.5 * _OUTER**2)
-                apart = step - best
-                along += weight * (covariance - known + np.outer(apart, apart))
-                whole += weight
-            added += along / whole
-    except LinAlgError:
-        return np.zeros_like(added)
-    return added
