@@ -266,6 +266,7 @@ def test_nothing_that_is_read_is_written_to(
         ("--store", "soft.db", ["--ais", "feed.nmea"], read),
         ("--log", "live.toml", ["--config", "live.toml"], read),
         ("--store", "a.geojson", ["--shore", "a.geojson"], read),
+        ("--log", "a.geojson", ["--basemap", "a.geojson"], read),
         ("--log", "a.geojson", ["--lines", "a.geojson"], read),
         ("--log", "a.geojson", ["--zones", "a.geojson"], read),
         ("--log", "a.geojson", ["--area", "a.geojson"], read),

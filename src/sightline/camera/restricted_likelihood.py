@@ -9,7 +9,6 @@ nothing asks for goes to zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -88,24 +87,10 @@ class RestrictedLikelihood:
         Raises:
             LinAlgError: The covariance is not positive definite.
         """
-        value, step, covariance, whitening, both = self._solved(noise)
-        solved = whitening.backward(both)
-        by_variance, gradient = whitening.gradient(
-            solved[:, :, -1] - solved[:, :, :-1] @ step, solved[:, :, :-1], covariance
-        )
-        squares = _squares(noise)
-        by_part = 2.0 * squares * np.tensordot(self._parts, by_variance / self.weight, 2)
-        return value, gradient | dict(zip(_WHITE, by_part.tolist(), strict=True))
-
-    def _solved(
-        self, noise: PixelNoise
-    ) -> tuple[float, FloatArray, FloatArray, Whitening, FloatArray]:
-        """The value, the step (P,) to the most probable parameters, their covariance (P, P).
-
-        Then the whitening, and (N, 2, P + 1) `_columns` by it.
-        """
+        size = self.off_mean.size
+        squares = np.array([getattr(noise, name) ** 2 for name in _WHITE])
         known = self.known_m2[:, None] * self._per_metre
-        variance = (np.tensordot(_squares(noise), self._parts, 1) + known) / self.weight
+        variance = (np.tensordot(squares, self._parts, 1) + known) / self.weight
         whitening = Whitening(
             self.blocks,
             variance,
@@ -115,7 +100,7 @@ class RestrictedLikelihood:
             self.half_lengths_m,
         )
         both = whitening.forward(self._columns)
-        flat = both.reshape(-1, self.off_mean.size + 1)
+        flat = both.reshape(-1, size + 1)
         factor = cho_factor(
             flat[:, :-1].T @ flat[:, :-1] + self.precision, lower=True, check_finite=False
         )
@@ -124,38 +109,14 @@ class RestrictedLikelihood:
         value = 0.5 * float(flat[:, -1] @ flat[:, -1] - slope @ step)
         value += 0.5 * float(self.off_mean @ self.precision @ self.off_mean)
         value += whitening.log_determinant() + float(np.log(np.diag(factor[0])).sum())
-        covariance = cho_solve(factor, np.eye(step.size), check_finite=False)
-        return value, step, covariance, whitening, both
-
-
-def _squares(noise: PixelNoise) -> FloatArray:
-    return np.array([getattr(noise, name) ** 2 for name in _WHITE])
-
-
-class _Posterior:
-    """Negative logarithm of the posterior density of some parts of a noise, by their logarithms."""
-
-    def __init__(
-        self, likelihood: RestrictedLikelihood, noise: PixelNoise, names: Sequence[str]
-    ) -> None:
-        self._likelihood, self._noise, self.names = likelihood, noise, names
-        self.priors = [NOISE_PRIORS[name] for name in names]
-
-    def noise_at(self, logs: FloatArray) -> PixelNoise:
-        """The noise with these parts."""
-        return replace(self._noise, **dict(zip(self.names, np.exp(logs).tolist(), strict=True)))
-
-    def __call__(self, logs: FloatArray) -> tuple[float, FloatArray]:
-        """The value, and its gradient."""
-        value, slopes = self._likelihood(self.noise_at(logs))
-        belief, by_prior = self._beliefs(logs)
-        return value + belief, np.array([slopes[name] for name in self.names]) + by_prior
-
-    def _beliefs(self, logs: FloatArray) -> tuple[float, FloatArray]:
-        """Negative logarithm of the prior density, and its gradient."""
-        pairs = zip(self.priors, logs.tolist(), strict=True)
-        values, slopes = zip(*(prior.penalty(log) for prior, log in pairs), strict=True)
-        return float(sum(values)), np.array(slopes)
+        solved = whitening.backward(both)
+        by_variance, gradient = whitening.gradient(
+            solved[:, :, -1] - solved[:, :, :-1] @ step,
+            solved[:, :, :-1],
+            cho_solve(factor, np.eye(size), check_finite=False),
+        )
+        by_part = 2.0 * squares * np.tensordot(self._parts, by_variance / self.weight, 2)
+        return value, gradient | dict(zip(_WHITE, by_part.tolist(), strict=True))
 
 
 def _estimated(likelihood: RestrictedLikelihood, *, heaving: bool) -> list[str]:
@@ -202,18 +163,29 @@ def most_probable_noise(
     Raises:
         LinAlgError: A covariance on the way is not positive definite.
     """
-    posterior = _Posterior(likelihood, before, _estimated(likelihood, heaving=heaving))
-    pairs = zip(posterior.priors, posterior.names, strict=True)
-    start = [prior.start(getattr(before, name)) for prior, name in pairs]
-    size = max(abs(posterior(np.array(start))[0]), 1.0)
+    names = _estimated(likelihood, heaving=heaving)
+    priors = [NOISE_PRIORS[name] for name in names]
+
+    def noise_at(logs: FloatArray) -> PixelNoise:
+        return replace(before, **dict(zip(names, np.exp(logs).tolist(), strict=True)))
+
+    def negative_log(logs: FloatArray) -> tuple[float, FloatArray]:
+        value, slopes = likelihood(noise_at(logs))
+        beliefs = [prior.penalty(log) for prior, log in zip(priors, logs.tolist(), strict=True)]
+        value += sum(belief for belief, _ in beliefs)
+        gradient = [slopes[name] + slope for name, (_, slope) in zip(names, beliefs, strict=True)]
+        return value, np.array(gradient)
+
+    start = [prior.start(getattr(before, name)) for prior, name in zip(priors, names, strict=True)]
+    size = max(abs(negative_log(np.array(start))[0]), 1.0)
     best = minimize(
-        posterior,
+        negative_log,
         start,
         jac=True,
         method="L-BFGS-B",
-        bounds=[prior.bounds for prior in posterior.priors],
+        bounds=[prior.bounds for prior in priors],
         options={"maxiter": 25, "ftol": _ENOUGH_NATS / size},
     )
-    found = posterior.noise_at(best.x)
+    found = noise_at(best.x)
     # Where no two fixes are near in time, correlated noise cannot be estimated.
     return found if likelihood.blocks else replace(found, correlated_m=0.0)

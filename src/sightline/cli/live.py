@@ -242,7 +242,7 @@ def _check_files(table: LiveTable, where: Path) -> None:
         [
             *(where, table.source.address, table.source.credentials, table.source.frame_clock),
             *(table.model, table.detector.name, table.mask, *table.area, table.ais.source),
-            *(table.server.token_file, table.server.shore),
+            *(table.server.token_file, table.server.shore, table.server.basemap),
             *(table.boundaries.lines, table.boundaries.zones),
         ],
     )
