@@ -686,8 +686,9 @@ def fewer_rows(rows: FloatArray, clocks: slice) -> FloatArray:
     """
     clock, others = rows[:, clocks], np.delete(rows, clocks, axis=1)
     length = np.linalg.norm(clock, axis=0)
-    along = clock.T @ others / np.maximum(length, 1e-300)[:, None]
-    rest = np.linalg.qr(others - clock @ (along / np.maximum(length, 1e-300)[:, None]), mode="r")
+    unit = clock / np.maximum(length, 1e-300)
+    along = unit.T @ others
+    rest = np.linalg.qr(others - unit @ along, mode="r")
     count = length.size
     out = np.zeros((count + len(rest), rows.shape[1]))
     kept = np.delete(np.arange(rows.shape[1]), clocks)

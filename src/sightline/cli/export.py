@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from sightline.cli.common import say, write_result
-from sightline.cli.options import JsonOption, OverwriteOption
+from sightline.cli.options import JsonOption, OverwriteOption, TrackFilesOption
 from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.parsing import parse_time
 from sightline.cli.replacing import keep_others
@@ -17,16 +17,7 @@ from sightline.errors import InputError
 
 def export(
     store: Annotated[Path, typer.Argument(metavar="STORE", help="What sightline live kept.")],
-    output: Annotated[
-        list[Path],
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Where the tracks go: .geojson, .gpx, .kml, .csv, .parquet, .gpkg or .mfjson. May "
-            "be given several times.",
-        ),
-    ],
+    output: TrackFilesOption,
     begin: Annotated[
         str | None, typer.Option("--from", metavar="TIME", help="From then on, ISO 8601.")
     ] = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sightline.cli.common import say, warn, write_result
-from sightline.cli.options import JsonOption, OverwriteOption
+from sightline.cli.options import JsonOption, OverwriteOption, TrackFilesOption
 from sightline.cli.outputs import Attempts, Outputs, keep_apart
 from sightline.cli.replacing import keep_others
 
@@ -22,16 +22,7 @@ def fuse(
     fleet: Annotated[
         Path, typer.Argument(metavar="FLEET", help="The cameras and their tracks: a fleet.toml.")
     ],
-    output: Annotated[
-        list[Path],
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Where the tracks go: .geojson, .gpx, .kml, .csv, .parquet, .gpkg or .mfjson. May "
-            "be given several times.",
-        ),
-    ],
+    output: TrackFilesOption,
     interval_s: Annotated[
         float | None,
         typer.Option(

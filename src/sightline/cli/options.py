@@ -40,6 +40,17 @@ IntervalOption = Annotated[
     typer.Option("--interval", help="Seconds between points; absent: a point a box."),
 ]
 
+TrackFilesOption = Annotated[
+    list[Path],
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Where the tracks go: .geojson, .gpx, .kml, .csv, .parquet, .gpkg or .mfjson. May "
+        "be given several times.",
+    ),
+]
+
 # Where targets can be, and where nothing is looked at.
 
 AreaOption = Annotated[

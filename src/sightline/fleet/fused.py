@@ -13,6 +13,7 @@ from sightline.evaluation.report import without_nan
 from sightline.fleet.config import FusedFleet, TracksOfCamera
 from sightline.formats import read_tracks
 from sightline.fusion import CameraTracks, FuseSettings, Fusion, fuse
+from sightline.fusion.fuse import check_covariances
 from sightline.geodesy import LocalPlane
 from sightline.georeferencing.georeferencer import load_model
 from sightline.types import FloatArray, Track, utc_text
@@ -40,7 +41,8 @@ def fuse_fleet(fleet: FusedFleet, *, interval_s: float | None = None) -> Fusion:
         for path in camera.tracks:
             found = read_tracks(path, plane=plane)
             plane = plane or found[0].plane
-            _check_covariances(path, found)
+            for track in found:
+                check_covariances(track, str(path))
             tracks += found
         assert plane is not None, "a file of tracks has points"
         cameras.append(CameraTracks(camera.name, tuple(tracks), _in_plane(plane, place)))
@@ -81,16 +83,6 @@ def _in_plane(plane: LocalPlane, place: tuple[float, float] | None) -> FloatArra
         return None
     east, north = plane.to_plane([place[0]], [place[1]])
     return np.array([east[0], north[0]])
-
-
-def _check_covariances(path: Path, tracks: tuple[Track, ...]) -> None:
-    for track in tracks:
-        if not np.isfinite(track.covariance_m2).all(axis=(1, 2)).any():
-            raise InputError(
-                f"{path}: its track {track.track_id} does not say how unsure it is, so it cannot "
-                "be weighed; give tracks with covariances or ellipses, as sightline writes them to "
-                ".csv, .parquet, .gpkg and .geojson"
-            )
 
 
 def _check_times(path: Path, cameras: list[CameraTracks], settings: FuseSettings) -> None:

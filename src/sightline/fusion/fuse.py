@@ -198,6 +198,21 @@ def fuse(
     return Fusion(tracks, _summaries(cameras, tracks, biases), handovers, _scatter(seen, biases))
 
 
+def check_covariances(track: Track, where: str) -> None:
+    """Raise InputError for a track that does not say how unsure it is.
+
+    Args:
+        track: With points.
+        where: It is from, for the message.
+    """
+    if not np.isfinite(track.covariance_m2).all(axis=(1, 2)).any():
+        raise InputError(
+            f"{where}: its track {track.track_id} does not say how unsure it is, so it cannot be "
+            "weighed; give tracks with covariances or ellipses, as sightline writes them to .csv, "
+            ".parquet, .gpkg and .geojson"
+        )
+
+
 def _start(cameras: Sequence[CameraTracks]) -> float:
     times = [track.time_utc_s[0] for camera in cameras for track in camera.tracks if len(track)]
     return float(np.floor(min(times)))
@@ -210,12 +225,8 @@ def _pieces(cameras: Sequence[CameraTracks], settings: FuseSettings) -> list[Pie
     out, number = [], 0
     for k, camera in enumerate(cameras):
         for track in camera.tracks:
-            if len(track) and not np.isfinite(track.covariance_m2).all(axis=(1, 2)).any():
-                raise InputError(
-                    f"camera {camera.name}: its track {track.track_id} does not say how unsure it "
-                    "is, so it cannot be weighed; give tracks with covariances or ellipses, as "
-                    "sightline writes them to .csv, .parquet, .gpkg and .geojson"
-                )
+            if len(track):
+                check_covariances(track, f"camera {camera.name}")
             piece = resampled(track, k, number, start_utc_s, settings.interval_s)
             number += 1
             if piece is not None:

@@ -259,12 +259,9 @@ def without_changes(
 
     Such a short stretch, between parts of its track that are of two targets, is of neither.
     """
-    group = {i: number for number, rows in enumerate(groups) for i in rows}
-    by_track: dict[int, list[int]] = {}
-    for i, piece in enumerate(pieces):
-        by_track.setdefault(piece.track, []).append(i)
+    group = _group_of(groups)
     dropped = set()
-    for rows in by_track.values():
+    for rows in _by_track(pieces):
         for before, i, after in zip(rows, rows[1:], rows[2:], strict=False):
             apart = len({group[before], group[i], group[after]}) == 3
             short = len(pieces[i]) * interval_s <= _CHANGE_S
@@ -283,15 +280,25 @@ def joined(
     graph = _Groups(pieces, settings)
     for pair in pairs:
         graph.add(pair.one, pair.other, evidence(pair, settings))
-    by_track: dict[int, list[int]] = {}
-    for i, piece in enumerate(pieces):
-        by_track.setdefault(piece.track, []).append(i)
-    for rows in by_track.values():
+    for rows in _by_track(pieces):
         for i, j in pairwise(rows):
             graph.add(i, j, GOES_ON)
     graph.merge()
     graph.improve()
     return graph.groups()
+
+
+def _by_track(pieces: Sequence[Piece]) -> list[list[int]]:
+    """The pieces of each track, in their order."""
+    found: dict[int, list[int]] = {}
+    for i, piece in enumerate(pieces):
+        found.setdefault(piece.track, []).append(i)
+    return list(found.values())
+
+
+def _group_of(groups: Sequence[Sequence[int]]) -> dict[int, int]:
+    """The number of each piece's group."""
+    return {i: number for number, rows in enumerate(groups) for i in rows}
 
 
 class _Groups:
@@ -434,7 +441,7 @@ def differences(
         settings: As of the association.
         stretch_s: Length of a stretch; within it errors are taken for one.
     """
-    group = {i: number for number, rows in enumerate(groups) for i in rows}
+    group = _group_of(groups)
     steps = max(1, round(stretch_s / settings.interval_s))
     rows: list[tuple[int, int, FloatArray, FloatArray, FloatArray]] = []
     for pair in pairs:

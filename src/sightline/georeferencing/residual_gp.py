@@ -186,8 +186,7 @@ class ResidualProcess:
         variance = self.noise**2 + np.diag(logged + np.zeros_like(rest))
         lower = cholesky(smooth + rest, lower=True, check_finite=False)
         weights = cho_solve((lower, True), self.targets, check_finite=False)
-        inverse, _ = lapack.dpotri(lower, lower=True)
-        inverse += np.tril(inverse, -1).T
+        inverse = _inverse(lower)
         gains = []
         for one in np.unique(fold):
             left, kept = np.flatnonzero(fold == one), np.flatnonzero(fold != one)
@@ -305,9 +304,7 @@ class LogLikelihood:
         lower = cholesky(smooth + rest, lower=True, check_finite=False)
         weights = cho_solve((lower, True), self._targets, check_finite=False)
         value = -0.5 * float(self._targets @ weights) - float(np.log(np.diag(lower)).sum())
-        inverse, _ = lapack.dpotri(lower, lower=True)
-        # Of the symmetric inverse only the lower triangle is there.
-        inverse += np.tril(inverse, -1).T
+        inverse = _inverse(lower)
         inner = np.outer(weights, weights) - inverse
         by_smooth = (inner * smooth).ravel()
         gradient = np.concatenate(
@@ -319,6 +316,14 @@ class LogLikelihood:
             ]
         )
         return value, gradient
+
+
+def _inverse(lower: FloatArray) -> FloatArray:
+    """(N, N) inverse of the matrix whose Cholesky factor is given."""
+    inverse, _ = lapack.dpotri(lower, lower=True)
+    # Of the symmetric inverse only the lower triangle is there.
+    inverse += np.tril(inverse, -1).T
+    return np.asarray(inverse)
 
 
 def _rest(h: Hyperparameters, noise: FloatArray, same: FloatArray) -> FloatArray:

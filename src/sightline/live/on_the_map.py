@@ -61,13 +61,7 @@ class PictureOnMap:
     def about(self) -> dict[str, object] | None:
         """Corners of the picture and how far it reaches; None where there is none."""
         made = self._made()
-        if made is None:
-            return None
-        rectifier = made[0]
-        return {
-            "corners_deg": rectifier.corners_deg.tolist(),
-            "furthest_m": rectifier.furthest_m,
-        }
+        return None if made is None else made[0].about()
 
     def picture(self) -> bytes | None:
         """The newest picture as WebP with transparent parts; None where there is none."""

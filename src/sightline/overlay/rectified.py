@@ -96,6 +96,10 @@ class Rectifier:
             pixels[:, 1].reshape(height, width).astype(np.float32),
         )
 
+    def about(self) -> dict[str, object]:
+        """Where its pictures lie, as pages ask for it."""
+        return {"corners_deg": self.corners_deg.tolist(), "furthest_m": self.furthest_m}
+
     def rectified(self, image_bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A picture on the map, (H, W, 4) blue, green, red and opacity: 0 where nothing is shown.
 

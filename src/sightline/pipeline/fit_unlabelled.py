@@ -243,7 +243,7 @@ def weigh_scene(
         progress: Told what is being done.
 
     Returns:
-        None where nothing that is seen moves as a log says.
+        Empty where nothing that is seen moves as a log says.
 
     Raises:
         InputError: As `associate_scene`.

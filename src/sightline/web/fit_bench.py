@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.labelling.fit_view import FitView, LoggedPlace
-from sightline.overlay.rectified import webp
+from sightline.overlay.rectified import Rectifier, webp
 from sightline.text import encodable_text
 from sightline.types import FloatArray
 
@@ -126,12 +126,7 @@ class FitBench:
         Raises:
             InputError: As `water`; or the camera sees no water near enough.
         """
-        view, _ = self._current()
-        rectifier = view.rectifier(self._log_time_s(frame, view), reach_m or math.inf)
-        return {
-            "corners_deg": rectifier.corners_deg.tolist(),
-            "furthest_m": rectifier.furthest_m,
-        }
+        return self._rectifier(frame, reach_m).about()
 
     def rectified(self, frame: int, reach_m: float | None = None) -> bytes:
         """A picture as it lies on the map, WebP with transparent parts.
@@ -143,10 +138,8 @@ class FitBench:
         Raises:
             InputError: As `on_the_map`.
         """
-        view, _ = self._current()
-        picture = self._drawing.picture(frame)
-        rectifier = view.rectifier(self._log_time_s(frame, view), reach_m or math.inf)
-        return webp(rectifier.rectified(picture))
+        rectifier = self._rectifier(frame, reach_m)
+        return webp(rectifier.rectified(self._drawing.picture(frame)))
 
     def state_clock(self, offset_s: float | None) -> dict[str, object]:
         """Write the clock offset into the scene file; None takes it out.
@@ -156,6 +149,10 @@ class FitBench:
         """
         before_s = self._drawing.state_clock(offset_s)
         return {**self.about(), "before_s": before_s}
+
+    def _rectifier(self, frame: int, reach_m: float | None) -> Rectifier:
+        view, _ = self._current()
+        return view.rectifier(self._log_time_s(frame, view), reach_m or math.inf)
 
     def _current(self) -> tuple[FitView, str]:
         """The view of the model that is looked at, and what that is."""
